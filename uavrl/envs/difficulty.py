@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
-from uavrl.envs.place import Place, triangles_of
+from uavrl.envs.place import Place, measured_surface
 from uavrl.envs.tasks import CELL, Surface, Task
 from uavrl.envs.traps import ways_at
 from uavrl.envs.world import World
@@ -44,7 +44,7 @@ class DifficultyMeter:
         self._space, level = flight.space, config.flight_level
         self._graph, _ = ways_at(flight, level, config.uav_radius)
         self._shape = flight.corridor.shape[:2]
-        self._surface = Surface(triangles_of(place.scene), level - BAND, level + BAND)
+        self._surface = Surface(measured_surface(place.scene), level - BAND, level + BAND)
         self._z, self._origin = level, place.origin
 
     def measure(self, start: np.ndarray, goal: np.ndarray) -> Difficulty | None:

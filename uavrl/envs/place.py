@@ -114,7 +114,7 @@ def _digest(scene: Scene) -> str:
 def _free_space(config: WorldRules, scene: Scene) -> FlightMap:
     return flight_map(
         _floor(scene),
-        triangles_of(scene) if scene.is_fine else _cut(triangles_of(scene), scene.size),
+        measured_surface(scene),
         size=scene.size,
         level=config.flight_level,
         ceiling=config.ceiling,
@@ -128,6 +128,11 @@ def triangles_of(scene: Scene) -> Mesh:
     """All triangles of a scene, those of the ground first."""
     ground = [] if scene.ground is None else scene.ground.tiles()
     return Mesh.merge([*ground, *(obstacle.mesh for obstacle in scene.obstacles)])
+
+
+def measured_surface(scene: Scene) -> Mesh:
+    """The triangles that bear on a scene's free space, as distances to them are measured."""
+    return triangles_of(scene) if scene.is_fine else _cut(triangles_of(scene), scene.size)
 
 
 def _cut(mesh: Mesh, size: tuple[float, float]) -> Mesh:
