@@ -119,7 +119,7 @@ def arrivals(env: NavigationEnv, way: Way, tasks: int, seed: int) -> dict[str, A
 
 def controllers(world: World) -> dict[str, Way]:
     """Every blind way through the first valley of a world, by name."""
-    half, origin = np.array(world.config.size) / 2, world.valleys[0].origin
+    half, origin = np.array(world.config.size) / 2, world.places[0].origin
     levels = np.arange(0.5, world.config.ceiling, 0.5)
     walls = {0: "-x", 1: "+x", 2: "-y", 3: "+y"}
     return {

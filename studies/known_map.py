@@ -148,7 +148,7 @@ class KnowsTheMap:
 
     def __init__(self, env: NavigationEnv, narrow: float = NARROW) -> None:
         self.world = env.world
-        self.valleys = {valley.seed: (valley, Ways(valley.flight, narrow)) for valley in env.world.valleys}
+        self.valleys = {valley.seed: (valley, Ways(valley.flight, narrow)) for valley in env.world.places}
         self._following: dict[int, np.ndarray] = {}  # of the tasks that are being flown
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -86,7 +86,8 @@ def test_it_leaves_no_hydra_behind_where_there_was_none() -> None:
 
 @pytest.mark.parametrize(("group", "name"), CHOICES)
 def test_every_choice_composes_for_training_and_says_so(group: str, name: str) -> None:
-    config = settings(f"{group}={name}")
+    file = ["env.world.file=site.ply"] if name in ("mesh", "cloud") else []
+    config = settings(f"{group}={name}", *file)
     assert config.choices[group] == name
     assert group not in PARTS or (getattr(config, group)._target_ is None) == (name == "none")
 

@@ -36,7 +36,7 @@ def test_each_valley_has_walls_and_a_ground_of_its_own() -> None:
     world = World(WorldConfig(seeds=(3, 4), size=(26.0, 20.0), obstacles=0))
     ceiling = world.config.ceiling
     local = np.array([[12.0, 0.0], [-3.0, -8.5], [0.0, 0.0]])  # 1 m, 1.5 m and 10 m from the edge
-    for valley in world.valleys:
+    for valley in world.places:
         places = PositionStats(world)
         for share, xy in zip((0.1, 0.6, 0.9), local, strict=True):
             ground = valley.ground.at(xy[None])[0]

@@ -116,7 +116,7 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.evaluation.position_stats import PositionStats
     from uavrl.evaluation.rollout import rollout_episodes
-    from uavrl.evaluation.summary import summarize
+    from uavrl.evaluation.summary import summarize, with_difficulty
     from uavrl.evaluation.worlds import worlds_text
 
     settings = validate(config, EvaluateConfig)
@@ -131,6 +131,8 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
         places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
         watch = None if places is None else places.add
         flights = rollout_episodes(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
+        if isinstance(env.base_env, NavigationEnv):
+            flights = with_difficulty(flights, env.base_env.difficulty([flight.task for flight in flights]))
     result = summarize(flights) | ({} if places is None else {"position_stats": places.summary()})
     known = [{key: value for key, value in asdict(flight).items() if value is not None} for flight in flights]
     result = {**result, **told, **chosen.source, "flights": known}

@@ -116,6 +116,8 @@ def _known(main: Path, groups: dict[str, list[str]], chosen: dict[str, str]) -> 
             path = conf_dir() / group / f"{choice}.yaml"
             if "# @package" not in path.read_text(encoding="utf-8"):  # else its place is elsewhere
                 known |= {key.name: key for key in keys(path, f"{group}.") if key.name not in known}
+        for path in sorted((conf_dir() / group).glob("*/*.yaml")):  # what several choices share
+            known |= {key.name: key for key in keys(path, f"{group}.") if key.name not in known}
     return known
 
 

@@ -19,6 +19,7 @@ from uavrl.cli.logs import configure_logging
 from uavrl.cli.memory import require_memory
 from uavrl.config import TrainConfig, resolve, validate
 from uavrl.config.command_line import command_line
+from uavrl.config.validation import to_config
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.clock import start_clock
 from uavrl.runs.episodes import RATES, success_text, wilson
@@ -26,7 +27,6 @@ from uavrl.runs.folders import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
 from uavrl_onboard.cli.process import one_sentence, sentence
 from uavrl_onboard.pluralize import pluralize
-from uavrl_onboard.values import to_plain
 
 log = logging.getLogger(__name__)
 LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes have ended
@@ -81,7 +81,7 @@ def _train(config: DictConfig) -> None:
     settings = validate(config)
     _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
-    config = OmegaConf.create(to_plain(settings))
+    config = to_config(settings)
     from uavrl.runs.lock import run_lock
     from uavrl.training.run import create_run, resume_config
 

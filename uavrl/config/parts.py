@@ -1,7 +1,8 @@
 """The parts of a run: each names its class, and holds what its constructor takes."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Annotated, Any
+from dataclasses import is_dataclass
+from typing import Annotated, Any, get_args
 
 from pydantic import Field
 
@@ -143,5 +144,24 @@ def _validated(part: Any, key: str, packages: tuple[str, ...], extra: Mapping[st
     inner = {name: value for name, value in values.items() if is_part(value)}
     others = {name: value for name, value in values.items() if name not in inner}
     found = validated(others, {**extra, **hints}, key)
-    found |= {name: _validated(value, f"{key}.{name}", packages, {}) for name, value in inner.items()}
+    for name, value in inner.items():
+        kind, place = _settings_of(hints.get(name)), f"{key}.{name}"
+        if kind is None:
+            found[name] = _validated(value, place, packages, {})
+        else:
+            found[name] = _validated_settings(value, kind, place, packages)
     return Part({TARGET: part[TARGET], **{name: found[name] for name in values}})
+
+
+def _settings_of(hint: Any) -> type | None:
+    """The base of the settings class that a type is, or that it may be; None for any other."""
+    kind = next((each for each in (hint, *get_args(hint)) if is_dataclass(each) and isinstance(each, type)), None)
+    return None if kind is None else [each for each in kind.__mro__ if is_dataclass(each)][-1]
+
+
+def _validated_settings(part: Mapping[str, Any], kind: type, key: str, packages: tuple[str, ...]) -> Any:
+    """The settings that a part names by their class, which derives from ``kind``."""
+    made = find_class(str(part[TARGET]), kind, packages, f"{key}.{TARGET}")
+    values = {name: value for name, value in part.items() if name != TARGET}
+    parent, _, name = key.rpartition(".")
+    return validated({name: values}, {name: made}, parent)[name]

@@ -10,9 +10,9 @@ from torchrl.envs import Compose, TransformedEnv
 
 from uavrl.envs.camera import Camera
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.limits import OrMapping, require_speed, settings, whole
+from uavrl.envs.limits import OrMapping, require_speed, whole
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
-from uavrl.envs.world import WorldConfig
+from uavrl.envs.world import WorldLike, world_rules
 from uavrl.errors import UavrlError, extras
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 from uavrl.transforms.guarded import GOAL_HEADING, Guarded
@@ -47,7 +47,7 @@ class ValleyFlights:
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
         lidar: OrMapping[LidarConfig] | None = None,
-        world: OrMapping[WorldConfig] | None = None,
+        world: WorldLike | None = None,
         guards: Any = "none",
         render_mode: str | None = None,
         **kwargs: Any,
@@ -61,7 +61,7 @@ class ValleyFlights:
                 "which shows its episodes in a page."
             )
         self.render_mode = render_mode
-        valley = settings("world", WorldConfig, world)
+        valley = world_rules(world)
         state = NavigationState(
             radius,
             flight_level=valley.flight_level,

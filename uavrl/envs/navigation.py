@@ -13,6 +13,7 @@ from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
 from uavrl.envs.controller import most_load
+from uavrl.envs.difficulty import Difficulty, measure_tasks
 from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.limits import MaxSpeed, OrMapping, check_hull, require_speed, settings, whole
@@ -22,7 +23,7 @@ from uavrl.envs.randomization import Randomization, draw_vehicles, require_flyab
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.vehicle_params import VehicleParams
-from uavrl.envs.world import World, WorldConfig, draw_valley
+from uavrl.envs.world import World, WorldLike, draw_place, world_rules
 from uavrl.errors import UavrlError
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.goal import goal_distance
@@ -34,7 +35,7 @@ _Made = TypeVar("_Made")
 
 
 class NavigationEnv(EnvBase):
-    """Quadrotors that fly to goals through a cluttered valley, seeing only through a LiDAR, by default a VLP-16.
+    """Quadrotors that fly to goals through a cluttered world, seeing only through a LiDAR, by default a VLP-16.
 
     The batch is native: ``num_uavs`` vehicles with tasks of their own fly in one PyBullet world, invisible to each
     other, and one Embree call casts all their rays (Chansuparp (2022), §4.1). A step is 0.1 s: 24 physics steps, then
@@ -64,7 +65,7 @@ class NavigationEnv(EnvBase):
 
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.
-        world: valley, goals and planes.
+        world: where they fly, goals and planes: valleys, or any other world.
         lidar: the sensor, its range and its noise; or only the name of a sensor.
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
@@ -92,7 +93,7 @@ class NavigationEnv(EnvBase):
         self,
         num_uavs: Annotated[int, Field(ge=1, le=512)] = 8,
         *,
-        world: OrMapping[WorldConfig] | None = None,
+        world: WorldLike | None = None,
         lidar: OrMapping[LidarConfig] | None = None,
         airframe: OrMapping[Airframe] | None = None,
         aerodynamics: OrMapping[Aerodynamics] | None = None,
@@ -122,7 +123,7 @@ class NavigationEnv(EnvBase):
         if tasks is not None and not (np.iterable(tasks) and len(tasks)):
             raise UavrlError(f"tasks takes a list of one task or more, or None for any, got {tasks!r}.")
         self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
-        self._world_config = settings("world", WorldConfig, world)
+        self._world_config = world_rules(world)
         self.airframe = settings("airframe", Airframe, airframe)
         self.aerodynamics = settings("aerodynamics", Aerodynamics, aerodynamics)
         drawn = settings("randomize", Randomization, randomize)
@@ -138,7 +139,7 @@ class NavigationEnv(EnvBase):
         self._simulation: Simulation | None = None
         self._traffic: Traffic | None = None
         self._goal = np.zeros((num_uavs, 3))
-        self._valley, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
+        self._place_of, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
         self.observation_spec, self.done_spec = navigation_specs(
             num_uavs, self.num_rays, self.device, clearance=measure_clearance, privileged=self.privileged
         )
@@ -187,10 +188,10 @@ class NavigationEnv(EnvBase):
 
     @cached_property
     def world(self) -> World:
-        """Valleys, goals and routes; built at the first use, which takes seconds."""
+        """Places, goals and routes; built at the first use, which takes seconds."""
         needed = None
         if self._tasks is not None:
-            needed = {draw_valley(self._world_config, self._task_rng(task)) for task in self._tasks}
+            needed = {draw_place(self._world_config, self._task_rng(task)) for task in self._tasks}
         return World(self._world_config, needed)
 
     @property
@@ -217,20 +218,27 @@ class NavigationEnv(EnvBase):
         """What draws a task."""
         return np.random.default_rng((self._seed, task))
 
-    def _spare_valley(self, task: int) -> int | None:
-        """The valley, among those that were built, of a task after the last one that counts; None: its own."""
+    def _spare_place(self, task: int) -> int | None:
+        """The place, among those that were built, of a task after the last one that counts; None: its own."""
         if self._tasks is None or task <= max(self._tasks):
             return None
-        drawn = draw_valley(self._world_config, self._task_rng(task))
-        return None if drawn in self.world.built else drawn % len(self.world.valleys)
+        drawn = draw_place(self._world_config, self._task_rng(task))
+        return None if drawn in self.world.built else drawn % len(self.world.places)
+
+    def difficulty(self, tasks: Sequence[int]) -> list[Difficulty | None]:
+        """How hard tasks of the current seed are, wherever planes would move their starts to.
+
+        It takes a second or two for each place, and some milliseconds for each task.
+        """
+        return measure_tasks(self.world, [self.world.sample_task(self._task_rng(task)) for task in tasks])
 
     def _place(self, index: np.ndarray, *, asked: bool) -> None:
         first, starts, yaws = self._next_task, np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
-            spare = None if asked else self._spare_valley(self._next_task)
+            spare = None if asked else self._spare_place(self._next_task)
             task = self.world.sample_task(self._task_rng(self._next_task), spare, self.traffic.positions)
             starts[row], yaws[row] = task.start, task.yaw
-            self._goal[uav], self._valley[uav] = task.goal, task.valley
+            self._goal[uav], self._place_of[uav] = task.goal, task.place
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
             self._next_task += 1
         self._steps[index] = 0
@@ -244,7 +252,7 @@ class NavigationEnv(EnvBase):
         distance_tm1 = goal_distance(self.simulation.position, self._goal)
         path = self.traffic.advance(TICKS, 1 / PHYSICS_RATE) if self.traffic.legs else None
         collided = self.simulation.step(action, path)
-        collided |= self.world.out_of_bounds(self.simulation.position, self._valley)
+        collided |= self.world.out_of_bounds(self.simulation.position, self._place_of)
         arrived = self.world.arrived(self.simulation.position, self._goal) & ~collided
         self._steps += 1
         terminated = arrived | collided

@@ -123,12 +123,12 @@ class Traffic:
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         config = world.config
         self.mesh = plane_mesh(config.plane_wingspan)
-        self.valleys = np.repeat(np.arange(len(world.valleys)), config.planes)
-        self._origins = np.array([world.valleys[v].origin for v in self.valleys]).reshape(-1, 2)
+        self.places = np.repeat(np.arange(len(world.places)), config.planes)
+        self._origins = np.array([world.places[v].origin for v in self.places]).reshape(-1, 2)
         seeds = rng.integers(2**63, size=(len(config.seeds), config.planes))[world.built].ravel()
         self.legs = [
-            Leg(np.random.default_rng(seed), world.valleys[valley].lanes, config.plane_speed)
-            for seed, valley in zip(seeds, self.valleys, strict=True)
+            Leg(np.random.default_rng(seed), world.places[place].lanes, config.plane_speed)
+            for seed, place in zip(seeds, self.places, strict=True)
         ]
         self._ways = Ways(self.legs)
 

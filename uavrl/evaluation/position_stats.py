@@ -14,7 +14,7 @@ class PositionStats:
     """Collects the positions at the end of each step.
 
     Args:
-        world: its edges, ``|x| = size[0] / 2`` and ``|y| = size[1] / 2`` of each valley, are the walls that distances
+        world: its edges, ``|x| = size[0] / 2`` and ``|y| = size[1] / 2`` of each place, are the walls that distances
             are measured to. Their slopes reach inwards from them.
 
     Examples:
@@ -27,7 +27,7 @@ class PositionStats:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._origins = np.stack([valley.origin for valley in world.valleys])
+        self._origins = np.stack([valley.origin for valley in world.places])
         self._seen = [np.zeros((0, 3))]
 
     def add(self, positions: np.ndarray) -> None:
@@ -38,9 +38,9 @@ class PositionStats:
         """:func:`summarize_places` of all of them."""
         positions = np.concatenate(self._seen)
         config = self._world.config
-        apart = np.linalg.norm(positions[:, None, :2] - self._origins, axis=-1)
-        inside = np.abs(positions[:, :2] - self._origins[apart.argmin(1)])
-        walls = (np.array(config.size) / 2 - inside).min(1)
+        nearest = np.linalg.norm(positions[:, None, :2] - self._origins, axis=-1).argmin(1)
+        inside = np.abs(positions[:, :2] - self._origins[nearest])
+        walls = (np.array([place.size for place in self._world.places])[nearest] / 2 - inside).min(1)
         shares = (positions[:, 2] - self._world.ground_height(positions[:, :2])) / config.ceiling
         return summarize_places(positions[:, 2], shares, walls)
 

@@ -37,6 +37,9 @@ class EpisodeResult:
     yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
     guard_share: float | None = None  #: share of the steps in which guards changed the velocity, None without guards
     guard_change: float | None = None  #: mean change of the velocity in these steps in m/s, None without one
+    #: mean width of the free space along the task's shortest way, in m (:class:`uavrl.envs.difficulty.Difficulty`)
+    spacing: float | None = None
+    detour: float | None = None  #: length of that way over that of the way without any obstacle
 
     @property
     def path_efficiency(self) -> float | None:

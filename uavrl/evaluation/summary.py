@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from uavrl.runs.episodes import LETTERS, RATES, rate_cell, rate_text, success_te
 from uavrl_onboard.sentences import did_you_mean
 
 if TYPE_CHECKING:
+    from uavrl.envs.difficulty import Difficulty
     from uavrl.evaluation.rollout import EpisodeResult
 
 LABELS = {
@@ -32,6 +34,9 @@ LABELS = {
 """What a summary's numbers are called, and their units."""
 OTHERS = [name for name in RATES if name != "success"]
 FEWEST = 10  # episodes in a valley whose success rate is printed
+DIFFICULTY = {"detour": ("detour", ""), "spacing": ("free width", " m")}
+"""What tells how hard a task is: its label and its unit."""
+LEAST_TASKS = 9  # of which three parts are told
 
 
 def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
@@ -73,10 +78,35 @@ def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
         result["min_clearance"] = min(clearances) if arrived else None
     result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
     result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
+    for quantity in DIFFICULTY:
+        if (thirds := _thirds(quantity, flights)) is not None:
+            result[f"success_by_{quantity}"] = thirds
     smoothness = [(flight.steps, flight.action_change, flight.yaw_reversals) for flight in flights]
     guarded = [(flight.steps, flight.guard_share, flight.guard_change) for flight in flights]
     result |= summarize_smoothness(*zip(*smoothness, strict=True))
     return result | summarize_interventions(*zip(*guarded, strict=True))
+
+
+def with_difficulty(flights: Sequence[EpisodeResult], measured: Sequence[Difficulty | None]) -> list[EpisodeResult]:
+    """The episodes with the difficulty of their tasks."""
+    pairs = zip(flights, measured, strict=True)
+    return [flight if each is None else replace(flight, **each._asdict()) for flight, each in pairs]
+
+
+def _thirds(quantity: str, flights: Sequence[EpisodeResult]) -> list[dict[str, float]] | None:
+    """Success in three equal parts of the tasks, in the order of a quantity; None for few tasks without any."""
+    known = sorted(
+        ((value, flight) for flight in flights if (value := getattr(flight, quantity)) is not None),
+        key=lambda pair: pair[0],
+    )
+    if len(known) < LEAST_TASKS:
+        return None
+    found = []
+    for part in range(3):
+        tasks = known[part * len(known) // 3 : (part + 1) * len(known) // 3]
+        solved = [flight.outcome for _, flight in tasks].count("arrived")
+        found.append({"least": tasks[0][0], "most": tasks[-1][0], "episodes": len(tasks), **wilson(solved, len(tasks))})
+    return found
 
 
 def _success_in(valley: int, flights: Sequence[EpisodeResult]) -> dict[str, float]:
@@ -96,6 +126,7 @@ def table(result: Mapping[str, Any]) -> str:
     lines += smoothness_texts(result.get("action_change"), result.get("yaw_reversals")).items()
     lines += intervention_texts(result.get("guard_share"), result.get("guard_change")).items()
     lines += position_texts(result["position_stats"]).items() if "position_stats" in result else []
+    lines += _third_lines(result)
     lines += _valley_lines(result.get("success_by_valley", {}))
     return "\n".join([*aligned(lines), success_text(result["success"], result["episodes"])])
 
@@ -106,6 +137,16 @@ def _valley_lines(valleys: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, s
     lines = [(f"success in valley {seed}", rate_text(found, found["episodes"])) for seed, found in enough.items()]
     few = len(valleys) - len(enough)
     return lines + ([("valleys with fewer than ten tasks", f"{few}, whose rates are in the file")] if few else [])
+
+
+def _third_lines(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The success rates of easy, middling and hard tasks."""
+    lines = []
+    for quantity, (name, unit) in DIFFICULTY.items():
+        for third in result.get(f"success_by_{quantity}", ()):
+            told = f"success, {name} {third['least']:.2f} to {third['most']:.2f}{unit}"
+            lines.append((told, rate_text(third, third["episodes"])))
+    return lines
 
 
 def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
@@ -125,10 +166,11 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
     """The rates of each scenario, steps and clearance of its successes, and smoothness.
 
     The change is the mean absolute change of the yaw rate from step to step; reversals are of the yaw rate;
-    guarded is the share of steps in which guards changed the velocity.
+    guarded is the share of steps in which guards changed the velocity. The success by detour is that in the third of
+    the tasks with the least detour, in the next third and in the last.
     """
     heads = ("success, % (95 % CI)", "collision, %", "time-out, %", "steps per success", "clearance, m")
-    heads = (*heads, "yaw rate change, rad/s", "reversals, %", "guarded, %")
+    heads = (*heads, "yaw rate change, rad/s", "reversals, %", "guarded, %", "by detour, %")
     lines = [f"{'scenario':<14}" + "  ".join(heads)]
     for name, result in results.items():
         shares = [result.get(key) for key in ("yaw_reversals", "guard_share")]
@@ -140,6 +182,7 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
             _number(result["median_clearance"], ".2f"),
             _number((result.get("action_change") or [None])[-1], ".2f"),
             *(_number(None if share is None else 100 * share, ".1f") for share in shares),
+            " / ".join(f"{100 * each['rate']:.0f}" for each in result.get("success_by_detour", ())) or "–",
         )
         lines.append(f"{name:<14}" + "  ".join(f"{c:>{len(h)}}" for c, h in zip(cells, heads, strict=True)))
     return "\n".join(lines)

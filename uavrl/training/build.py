@@ -23,7 +23,8 @@ from uavrl.config.context import CONTEXT, refuse_context
 from uavrl.config.parts import STEPPER
 from uavrl.config.settings import TrainConfig
 from uavrl.envs.privileged import QUANTITIES
-from uavrl.envs.world import WorldConfig, map_valleys
+from uavrl.envs.rules import WorldRules
+from uavrl.envs.world import map_places
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import (
     loss_class,
@@ -201,8 +202,8 @@ def load_risk(
 def prepare_valleys(settings: TrainConfig) -> None:
     """Maps the valleys of the run here, with a progress line, for the processes that fly in them."""
     world = settings.env.get("world")
-    if isinstance(world, WorldConfig) and collector_class(settings).is_remote:
-        map_valleys(world)
+    if isinstance(world, WorldRules) and collector_class(settings).is_remote:
+        map_places(world)
 
 
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
