@@ -98,6 +98,14 @@ def test_the_page_says_what_the_facts_say(runs: Path) -> None:
     assert set(rows) == {("td3", "ABR⁺")}, "of the thesis only the rows of the runs"
 
 
+def test_the_success_rate_comes_right_after_the_group_which_a_phone_shows(runs: Path) -> None:
+    text = page(make_report([runs]))
+    heads = re.findall(r"<thead><tr><th>Group</th><th[^>]*>([^<]*)</th>", text)
+    assert heads[:2] == ["Success in training", "Success"]
+    first = re.search(r'<td class="l">.*?</td>(<td class="n">[\d.]+ %<span class="ci">)', text, re.DOTALL)
+    assert first is not None
+
+
 def test_what_is_not_there_is_not_shown(tmp_path: Path) -> None:
     """Twelve episodes make no curve in steps of fifty, and the thesis has no row with this reward."""
     run_folder(tmp_path / "short", "ccaccaccacca")
