@@ -78,24 +78,32 @@ def test_the_page_says_what_the_facts_say(runs: Path) -> None:
     text = Reader(html).text
     for expected in (
         "Mine & yours",
-        "TD3 + ABR⁺, Eq. 3.6 One seed: the spread between seeds is unknown. 1 (0)",
+        "TD3 + ABR⁺, Eq. 3.6 One seed: the spread between seeds is unknown. 50.0 %",
         "1 folder left out",
         "episodes.csv is missing",
         "Steps to 78 %",
         "82.4 %",
         "4 episodes, not 5,000",
-        "TD3, prize 2 (0, 1) 20 80.0 % 58.4–91.9 80.0–80.0",  # 16 of 20: z² = 3.841459
+        "TD3, prize 80.0 % 58.4–91.9 2 (0, 1) 20 80.0–80.0",  # 16 of 20: z² = 3.841459
         "80.0 % 49.0–94.3",
         "version not recorded",
         "“Unlike the thesis” compares the reward's name, LifeGuard's model and the number of episodes, and no other",
         "algo:",
     ):
         assert expected in text, expected
-    best, second = text.index("TD3, prize 2 (0, 1) 100.0 %"), text.index("TD3 + ABR⁺, Eq. 3.6 One seed")
+    best, second = text.index("TD3, prize 100.0 %"), text.index("TD3 + ABR⁺, Eq. 3.6 One seed")
     assert best < second < text.index("Learning curves"), "the answer comes first, and the best group"
     compared = html[html.index('id="thesis"') : html.index('id="settings"')]
     rows = re.findall(r'<tr><td class="l">(\w+)</td><td class="l">([^<]+)</td>', compared)
     assert set(rows) == {("td3", "ABR⁺")}, "of the thesis only the rows of the runs"
+
+
+def test_the_success_rate_comes_right_after_the_group_which_a_phone_shows(runs: Path) -> None:
+    text = page(make_report([runs]))
+    heads = re.findall(r"<thead><tr><th>Group</th><th[^>]*>([^<]*)</th>", text)
+    assert heads[:2] == ["Success in training", "Success"]
+    first = re.search(r'<td class="l">.*?</td>(<td class="n">[\d.]+ %<span class="ci">)', text, re.DOTALL)
+    assert first is not None
 
 
 def test_what_is_not_there_is_not_shown(tmp_path: Path) -> None:

@@ -155,6 +155,7 @@ def _learning_curve(facts: dict[str, Any], name: str, axis: str) -> str:
         note = {**at, "xanchor": "left", "yanchor": "bottom"}
         drawn.add_hline(y=100 * facts["threshold"], line=style, annotation=note)
     drawn.update_xaxes(title=AXES[axis], rangemode="tozero", tickformat="~s")
+    drawn.update_yaxes(rangemode="normal" if name == "return" else "nonnegative")
     drawn.update_yaxes(ticksuffix=unit, nticks=6, range=[0, 100] if name in ("success", "collision") else None)
     return _html(drawn, f"{axis}-{name}", 300)
 
