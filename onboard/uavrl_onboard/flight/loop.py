@@ -128,7 +128,8 @@ class Flight:
         self._control = control.control
         implausible = self._check(scan, pose)
         if scan is not None:
-            scan = self._masked(scan)
+            if self._box is not None:
+                scan = replace(scan, points=without_vehicle(scan.points, *self._box))
             self._scan_stamp, self._action = scan.stamp, self._act(scan, pose, now)
         distance = self._distance(pose)
         at_goal = distance is not None and distance <= self._radius
@@ -139,6 +140,8 @@ class Flight:
         status = self._layer.step(Cycle(now, action, self._scan_stamp, stamp, position, yaw, in_control, why))
         self._link.send(status.setpoint, now)
         latency = None if scan is None else now - scan.stamp + time.perf_counter() - begun
+        if scan is not None and self._moves:  # after the set-point, which does not wait for it
+            self._motion.add(scan.points, pose)
         self._policy.last_action = np.array(status.setpoint or ZEROS, np.float32)
         self._state = status.state
         self._there = self._there + 1 if at_goal and status.state in _FLIES else 0
@@ -159,17 +162,11 @@ class Flight:
             self._start_anew()
         if scan is not None:
             self.doubt = self._coverage.add(scan.points, None if pose is None else pose.yaw)
-            if self._moves:
-                self._motion.add(self._masked(scan).points, pose)
         if implausible is None and self.doubt is not None and self.doubt.certain:
             return Implausible(Reason(self.doubt.kind), self.doubt.sentence)
         if implausible is None and self.disagreement is not None:
             return Implausible(Reason.SCANS_DISAGREE, self.disagreement)
         return implausible
-
-    def _masked(self, scan: Scan) -> Scan:
-        """The scan without the vehicle's own parts."""
-        return scan if self._box is None else replace(scan, points=without_vehicle(scan.points, *self._box))
 
     def _start_anew(self) -> None:
         """Drops what was remembered in axes that are others now."""

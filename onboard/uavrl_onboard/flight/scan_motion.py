@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from uavrl_onboard.autopilot.frames import Pose
-from uavrl_onboard.geometry import body_to_world, is_return
+from uavrl_onboard.geometry import body_to_world, is_return, world_to_yaw, yaw_to_world
 
 EVERY = 0.19
 """Time between two scans that are kept, s."""
@@ -23,12 +23,14 @@ CELL = 0.3
 """Size of a cell of the slice, m."""
 FEWEST = 15
 """Cells of the slice with a return from which on it is compared."""
-MOST = 150
+MOST = 100
 """Cells that are compared."""
 TOLERATED, OTHER = (0.6, 0.2), (1.0, 0.4)
 """Differences from what the pose says, in m and rad, that are tolerated, and from which on it is another motion."""
-SHIFTS, TURNS = 0.6 * np.arange(-5, 6), 0.2 * np.arange(-3, 4)
-"""Shifts along each axis, m, and turns, rad, beside those of the pose, that are tried."""
+SHIFTS, TURNS = 2 * np.arange(-5, 6), 0.2 * np.arange(-3, 4)
+"""Shifts along each axis, in cells, and turns, rad, beside those of the pose, that are tried."""
+FARTHEST = 9.0
+"""Distance between two scans up to which they are compared, m: they must show the same things."""
 FITS, BETTER = 0.7, 0.3
 """Share of the returns that lie on each other under another motion, and by how much that is more than by the pose."""
 AGREES = 0.6
@@ -37,7 +39,10 @@ LOOKED_AT, AGAINST = 4, 3
 """Comparisons that count, and how many of them must be against the pose."""
 _MOVED = (0.5, 0.3)  # m and rad: a vehicle that stands agrees with any sensor
 _STANDS = 0.3  # m
-_SIZE = int(2 * (REACH + 4.0) / CELL)  # cells of an image along each axis
+_ENOUGH = 8000  # points of a scan that are looked at, of those at all heights
+_SIZE = 2 * math.ceil((REACH + FARTHEST) / CELL + SHIFTS.max() + 2)  # cells of an image along each axis
+_GRID = np.stack(np.meshgrid(SHIFTS, SHIFTS, indexing="ij"), -1).reshape(-1, 2)
+_AROUND = np.array([[0, 0], [2, 0], [-2, 0], [0, 2], [0, -2]])  # cells, within TOLERATED
 
 
 class _Slice(NamedTuple):
@@ -111,10 +116,9 @@ class ScanMotion:
 
     def _compare(self, before: _Slice, now: _Slice) -> None:
         shift = now.position - before.position
-        if len(before.points) < FEWEST or abs(shift[2]) > HALF_HEIGHT or np.linalg.norm(shift) > REACH:
+        if len(before.points) < FEWEST or abs(shift[2]) > HALF_HEIGHT or np.linalg.norm(shift) > FARTHEST:
             return
-        cos, sin = math.cos(before.yaw), math.sin(before.yaw)
-        forward, left = float(cos * shift[0] + sin * shift[1]), float(cos * shift[1] - sin * shift[0])
+        forward, left = world_to_yaw(shift[:2], before.yaw).tolist()
         told = Motion(forward, left, math.remainder(now.yaw - before.yaw, math.tau))
         share, other, found = _shares(before.points, now.points, told)
         is_against = other >= FITS and share <= other - BETTER
@@ -131,17 +135,21 @@ class ScanMotion:
 
 def _slice(points: np.ndarray, pose: Pose) -> np.ndarray:
     """Return the level slice of a scan at the sensor's height, ``[n, 2]`` in the axes of the yaw: one point a cell."""
-    points = points[is_return(points)].astype(np.float64)
+    points = points[:: max(len(points) // _ENOUGH, 1)].astype(np.float64)
+    points = points[is_return(points)]
     tilted = math.isfinite(pose.roll) and math.isfinite(pose.pitch)
     level = points @ body_to_world(np.array([[pose.roll, pose.pitch, 0.0]]))[0].T if tilted else points
-    far = np.hypot(level[:, 0], level[:, 1])
-    level = level[(np.abs(level[:, 2]) < HALF_HEIGHT) & (far > NEAREST) & (far < REACH), :2]
-    _, first = np.unique(_cells(level), axis=0, return_index=True)
+    far = (level[:, :2] ** 2).sum(1)
+    level = level[(np.abs(level[:, 2]) < HALF_HEIGHT) & (far > NEAREST**2) & (far < REACH**2), :2]
+    first = np.unique(_index(level), return_index=True)[1]
     return level[np.sort(first)]
 
 
-def _cells(points: np.ndarray) -> np.ndarray:
-    return np.floor(points / CELL).astype(np.int64) + _SIZE // 2
+def _index(points: np.ndarray) -> np.ndarray:
+    """Return the number of the cell of each of points ``[n, 2]`` in an image."""
+    cells = np.floor(points / CELL).astype(np.int64) + _SIZE // 2
+    index: np.ndarray = cells[:, 0] * _SIZE + cells[:, 1]
+    return index
 
 
 def _shares(before: np.ndarray, now: np.ndarray, told: Motion) -> tuple[float, float, Motion]:
@@ -150,45 +158,46 @@ def _shares(before: np.ndarray, now: np.ndarray, told: Motion) -> tuple[float, f
     Where the former is so great that no other motion can be better, none is tried.
     """
     near, before = _near(now), before[:: math.ceil(len(before) / MOST)]
-    tolerated = TOLERATED[0] * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    expected = np.array([told.forward, told.left])
-    turns = told.turn + TOLERATED[1] * np.arange(-1, 2)
-    share = max(float(_laid(before, near, expected + tolerated, turn).max()) for turn in turns.tolist())
+    share, other, found = 0.0, 0.0, told
+    for turn in (told.turn + TOLERATED[1] * np.arange(-1, 2)).tolist():
+        shifts = _rounded(told, turn) + _AROUND
+        share = max(share, float(_laid(before, near, shifts, turn).max()))
     if share > 1.0 - BETTER:
         return share, 0.0, told
-    grid = np.stack(np.meshgrid(SHIFTS, SHIFTS, indexing="ij"), -1).reshape(-1, 2)
-    shifts = np.concatenate([grid, expected + grid])
-    is_other = np.linalg.norm(shifts - expected, axis=1) >= OTHER[0]
-    other, found = 0.0, told
     for turn in {0.0, -told.turn, *(told.turn + TURNS).tolist()}:
+        expected = _rounded(told, turn)
+        shifts = np.concatenate([_GRID, expected + _GRID])
         turned = abs(math.remainder(turn - told.turn, math.tau))
-        shares = _laid(before, near, shifts, turn) * (is_other | (turned >= OTHER[1]))
+        is_other = (CELL * np.linalg.norm(shifts - expected, axis=1) >= OTHER[0]) | (turned >= OTHER[1])
+        shares = _laid(before, near, shifts, turn) * is_other
         if shares.max() > other:
             best = int(shares.argmax())
-            forward, left = shifts[best].tolist()
+            forward, left = yaw_to_world(CELL * shifts[best], turn).tolist()
             other, found = float(shares[best]), Motion(forward, left, turn)
     return share, other, found
 
 
+def _rounded(told: Motion, turn: float) -> np.ndarray:
+    """Return the shift of a motion in the axes after a turn, in whole cells."""
+    shift = world_to_yaw(np.array([told.forward, told.left]), turn)
+    return np.round(shift / CELL).astype(np.int64)
+
+
 def _near(points: np.ndarray) -> np.ndarray:
-    """Return an image ``bool [_SIZE, _SIZE]`` of the cells that hold a point or lie next to one that does."""
+    """Return an image ``bool [_SIZE * _SIZE]`` of the cells that hold a point or lie next to one that does."""
     image = np.zeros((_SIZE, _SIZE), bool)
-    image[tuple(_cells(points).T)] = True
+    image.ravel()[_index(points)] = True
     near = np.zeros_like(image)
     for x in (-1, 0, 1):
         for y in (-1, 0, 1):
             near[1:-1, 1:-1] |= image[1 + x : _SIZE - 1 + x, 1 + y : _SIZE - 1 + y]
-    return near
+    return near.ravel()
 
 
 def _laid(points: np.ndarray, near: np.ndarray, shifts: np.ndarray, turn: float) -> np.ndarray:
-    """Return which share of points ``[n, 2]`` lies near later ones after each of ``shifts [m, 2]`` and a turn."""
-    moved = points[:, None] - shifts[None]
-    cos, sin = math.cos(turn), math.sin(turn)
-    at = np.stack([cos * moved[..., 0] + sin * moved[..., 1], cos * moved[..., 1] - sin * moved[..., 0]], -1)
-    cells = _cells(at)
-    cells = np.where(((cells >= 0) & (cells < _SIZE)).all(-1, keepdims=True), cells, 0)
-    shares: np.ndarray = near[cells[..., 0], cells[..., 1]].mean(0)
+    """Return which share of points ``[n, 2]`` lies near later ones after a turn and each shift ``[m, 2]``."""
+    at = _index(world_to_yaw(points, np.full(len(points), turn)))
+    shares: np.ndarray = near[at[None] - (shifts[:, 0] * _SIZE + shifts[:, 1])[:, None]].mean(1)
     return shares
 
 
