@@ -188,7 +188,7 @@ class Lidar:
         rng: np.random.Generator | None = None,
         flaws: Sequence[VehicleParams] | None = None,
         rays: slice | None = None,
-        numbers: Sequence[int] | None = None,
+        numbers: Sequence[int] | np.ndarray | None = None,
     ) -> np.ndarray:
         """Casts one scan per vehicle.
 

@@ -80,7 +80,7 @@ class ExportedPolicy:
         velocity_limit = terms.action.high[0]
         if velocity_limit != VEHICLE.velocity_limit:
             perception["max_speed"] = velocity_limit
-        sensor = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
+        sensor: dict[str, Any] = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
         if velocity_limit != VEHICLE.velocity_limit:
             sensor["env.max_speed"] = velocity_limit
         return {f"perception.{key}": value for key, value in perception.items()} | sensor

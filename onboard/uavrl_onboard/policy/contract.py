@@ -140,16 +140,15 @@ class Contract(ContractPart):
         """The vehicle that the policy was trained to fly; its hull is that of the guards, if there are any."""
         velocity_limit, _, _, yaw_rate_limit = self.action.high
         lidar = self.cloud.lidar
-        view = {} if lidar is None else {"lidar_elevations": lidar.field_of_view[2:]}
-        hull = {} if self.guards is None else {"radius": self.guards.radius, "height": self.guards.height}
+        about: dict[str, Any] = {} if lidar is None else {"lidar_elevations": lidar.field_of_view[2:]}
+        about |= {} if self.guards is None else {"radius": self.guards.radius, "height": self.guards.height}
         return Vehicle(
-            **hull,
+            **about,
             lidar_position=self.cloud.sensor_position,
             velocity_limit=velocity_limit,
             yaw_rate_limit=yaw_rate_limit,
             control_rate=self.rate_hz,
             flight_level=self.flight_level,
-            **view,
         )
 
     @property
