@@ -4,7 +4,7 @@ python docs/figures/flight_gif.py demo.html flight.gif
 
 
 Needs Chromium with its driver, selenium and Pillow; the page comes from
-``uavrl-replay policy=best env=static task=0 output=demo.html``.
+``uavrl-replay policy=best env=static valleys=training task=0 output=demo.html``.
 """
 
 from __future__ import annotations
