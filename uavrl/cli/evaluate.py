@@ -60,7 +60,7 @@ def main(config: DictConfig) -> None:
         "uavrl-replay", *_own_folders(), *(override(key, each) for key, each in who.items()), *_typed()
     )
     report = command_line("uavrl-report", runs=settings.run)
-    then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
+    then = f"Watch it fly: {watch}" if "planes" in result else f"Its curves: {report}"
     print(f"Written to {output}. {then}")
 
 
@@ -96,7 +96,8 @@ def environment_of(chosen: PolicySetup, settings: EvaluateConfig, told: dict[str
     told["env"] = chosen.choices.get("env", "")
     count = min(settings.num_uavs, settings.episodes)
     if "world" in chosen.env:
-        told["valleys"] = list(chosen.env.world.seeds)
+        if chosen.env.world.VARIES:
+            told["valleys"] = list(chosen.env.world.seeds)
         told["planes"] = chosen.env.world.planes
         told["num_uavs"] = count  # planes move with the steps of all
     context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": count}

@@ -47,6 +47,7 @@ class FileWorld(WorldRules):
     size: tuple[float, float] | None = None  # type: ignore[assignment]
     centre: tuple[float, float] | None = None
 
+    VARIES: ClassVar[bool] = False
     SUFFIXES: ClassVar[tuple[str, ...]] = ()
     KIND: ClassVar[str] = "mesh"  # whose colour a replay shows
     FEWER: ClassVar[str] = "decimate it"

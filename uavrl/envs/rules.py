@@ -89,6 +89,7 @@ class WorldRules:
     """
 
     NAMED: ClassVar[bool] = True  # whether a yaml file names the class by its _target_
+    VARIES: ClassVar[bool] = True  # whether another seed is another place
     REMEDY: ClassVar[str] = "enlarge size, or lower min_clearance or min_goal_distance"
 
     seeds: tuple[int, ...] = (0,)

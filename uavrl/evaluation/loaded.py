@@ -126,7 +126,8 @@ class LoadedPolicy(PolicyModule):
         run = validate(with_overrides(self.config, composed, list(changes)))
         if valleys is not None:
             require_valley(run.env, run.choices, "valleys")
-        if "world" in run.env and (valleys is not None or "env.world.seeds" not in keys):
+        unseen = "world" in run.env and run.env.world.VARIES and "env.world.seeds" not in keys
+        if valleys is not None or unseen:
             run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
         chosen = guard_settings(guards, self.guards)
         lidar = run.perception.get("lidar")

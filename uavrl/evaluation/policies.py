@@ -116,7 +116,7 @@ def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collecti
         return
     if settings.valleys != UNSEEN:
         require_valley(chosen.env, chosen.choices, "valleys")
-    if "world" in chosen.env:
+    if "world" in chosen.env and (chosen.env.world.VARIES or settings.valleys != UNSEEN):
         unseen = unseen_seeds(chosen.source.get("training_valleys", ()))
         seeds = unseen if settings.valleys == UNSEEN else settings.valleys
         chosen.env["world"] = replace(chosen.env.world, seeds=seeds)
