@@ -169,8 +169,8 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
     guarded is the share of steps in which guards changed the velocity. The success by detour is that in the third of
     the tasks with the least detour, in the next third and in the last.
     """
-    heads = ("success, % (95 % CI)", "collision, %", "time-out, %", "steps per success", "clearance, m")
-    heads = (*heads, "yaw rate change, rad/s", "reversals, %", "guarded, %", "by detour, %")
+    heads = ["success, % (95 % CI)", "collision, %", "time-out, %", "steps per success", "clearance, m"]
+    heads += ["yaw rate change, rad/s", "reversals, %", "guarded, %", "by detour, %"]
     lines = [f"{'scenario':<14}" + "  ".join(heads)]
     for name, result in results.items():
         shares = [result.get(key) for key in ("yaw_reversals", "guard_share")]

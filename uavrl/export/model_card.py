@@ -66,7 +66,8 @@ def read_statements(folder: Path) -> Statements:
             f"{path} must hold license and command, each a text, and use and limits, each a list of sentences: change "
             f"{', '.join(map(str, wrong))}."
         )
-    return Statements(**{key: tuple(value) if known[key] else value for key, value in content.items()})
+    found: dict[str, Any] = {key: tuple(value) if known[key] else value for key, value in content.items()}
+    return Statements(**found)
 
 
 def _fits(value: Any, several: bool | None) -> bool:
@@ -196,7 +197,7 @@ def _metadata(
         ]
         data["model-index"] = [{"name": name, "results": results}]
     dumper = yaml.SafeDumper
-    dumper.ignore_aliases = lambda *_: True  # type: ignore[method-assign]  # hubs read no references
+    dumper.ignore_aliases = lambda *_: True  # hubs read no references
     return str(yaml.dump(data, Dumper=dumper, sort_keys=False, allow_unicode=True))
 
 
