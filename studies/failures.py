@@ -1,4 +1,4 @@
-"""How do policies fail? Draws the first failure in each of some recordings from above, side by side.
+r"""How do policies fail? Draws the first failure in each of some recordings from above, side by side.
 
     for name in vfh_star mppi potential_field best; do
         uavrl-replay policy=$name env=static valleys=training env.world.obstacles=90 episodes=12 data=$name.npz \
