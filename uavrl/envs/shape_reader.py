@@ -47,7 +47,7 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
 def _array(path: Path, most: int) -> np.ndarray:
     """The array of an NPY file, or that of an NPZ file that holds points."""
     if path.suffix.lower() == ".npy":
-        return np.load(path, allow_pickle=False, mmap_mode="r")  # type: ignore[no-any-return]
+        return np.load(path, allow_pickle=False, mmap_mode="r")
     with zipfile.ZipFile(path) as archive:
         if sum(entry.file_size for entry in archive.infolist()) > most:
             raise MemoryError
@@ -55,7 +55,7 @@ def _array(path: Path, most: int) -> np.ndarray:
         names = [name for name in data.files if name in ("points", "xyz", "vertices")] or data.files
         if len(names) != 1:
             raise ValueError(f"holds the arrays {', '.join(data.files)}, of which none is called points")
-        return data[names[0]]  # type: ignore[no-any-return]
+        return data[names[0]]
 
 
 def _points_of(array: Any) -> np.ndarray:
