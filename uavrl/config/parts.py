@@ -145,7 +145,7 @@ def _settings_of(hint: Any) -> type | None:
 
 def _validated_settings(part: Mapping[str, Any], kind: type, key: str, packages: tuple[str, ...]) -> Any:
     """The settings that a part names by their class, which derives from ``kind``."""
-    made = find_class(str(part[TARGET]), kind, packages, f"{key}.{TARGET}")
+    made: type = find_class(str(part[TARGET]), kind, packages, f"{key}.{TARGET}")
     values = {name: value for name, value in part.items() if name != TARGET}
     parent, _, name = key.rpartition(".")
     return validated({name: values}, {name: made}, parent)[name]
