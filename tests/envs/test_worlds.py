@@ -84,9 +84,10 @@ def test_tasks_lead_through_doors(rooms: World) -> None:
     cells = {(float(x) > 0, float(y) > 0) for x, y in place.candidates}
     assert len(cells) == 4  # of 2 x 2 rooms, each has starts and goals, in one part of the free space
     tasks = [rooms.sample_task(np.random.default_rng(k)) for k in range(30)]
-    detours = [DifficultyMeter(place).measure(task.start, task.goal) for task in tasks[:6]]
+    meter = DifficultyMeter(place)
+    detours = [meter.measure(task.start, task.goal) for task in tasks]
     assert all(each is not None and 1 <= each.detour < 5 and 0.7 <= each.spacing <= 6 for each in detours)
-    assert max(each.detour for each in detours if each is not None) > 1.1
+    assert max(each.detour for each in detours if each is not None) > 1.05
 
 
 def test_a_world_of_one_s_own_is_seen_and_touched_from_both_sides() -> None:
