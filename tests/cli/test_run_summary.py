@@ -45,7 +45,10 @@ def test_the_newest_evaluation_is_told(trained: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize(
     ("valleys", "said"),
-    [([100, 101], "2 unseen valleys (seeds 100–101)"), ([100, 1], "2 valleys, 1 of them from its training (seeds 1, 100)")],
+    [
+        ([100, 101], "2 unseen valleys (seeds 100–101)"),
+        ([100, 1], "2 valleys, 1 of them from its training (seeds 1, 100)"),
+    ],
 )
 def test_so_is_whether_it_was_trained_in_the_valleys(
     valleys: list[int], said: str, trained: Path, capsys: pytest.CaptureFixture[str]

@@ -121,8 +121,8 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
 
     The change is the mean absolute change of the yaw rate from step to step; reversals are of the yaw rate.
     """
-    heads = ("success, % (95 % CI)", "collision, %", "time-out, %", "steps per success", "clearance, m")
-    heads = (*heads, "yaw rate change, rad/s", "reversals, %")
+    heads = ["success, % (95 % CI)", "collision, %", "time-out, %", "steps per success", "clearance, m"]
+    heads += ["yaw rate change, rad/s", "reversals, %"]
     lines = [f"{'scenario':<14}" + "  ".join(heads)]
     for name, result in results.items():
         reversals = result.get("yaw_reversals")

@@ -93,7 +93,7 @@ def _values(config: DictConfig) -> dict[str, Any]:
     def below(node: Any, name: str) -> dict[str, Any]:
         if not isinstance(node, DictConfig) or not node:
             return {name: node}
-        return {key: value for each, inner in node.items() for key, value in below(inner, f"{name}.{each}").items()}
+        return {key: value for each, inner in node.items() for key, value in below(inner, f"{name}.{each!s}").items()}
 
     return {key.removeprefix("."): value for key, value in below(config, "").items()}
 
