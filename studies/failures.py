@@ -4,7 +4,7 @@
     for name in vfh_star mppi potential_field best; do
         uavrl-replay policy=$name env=static $own env.world.obstacles=90 episodes=12 data=$name.npz output=$name.html
     done
-    uavrl-replay policy=rrt_connect $own env.world.obstacles=135 episodes=12 data=rrt_connect.npz output=rrt_connect.html
+    uavrl-replay policy=rrt_connect $own env.world.obstacles=135 episodes=12 data=rrt_connect.npz
     uavrl-replay policy=rrt_map $own env.world.obstacles=135 tasks=[21,47,64] data=rrt_map.npz output=rrt_map.html
     python studies/failures.py {vfh_star,mppi,potential_field,rrt_connect,rrt_map,best}.npz --output failures.png
 
