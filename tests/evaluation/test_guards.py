@@ -108,7 +108,13 @@ def test_an_evaluation_flies_with_guards_that_know_the_vehicle_and_look_as_far(
     monkeypatch.setattr(MotionSight, "look", looked)
     monkeypatch.setattr(Shield, "__call__", stands)
     output = tmp_path / "guarded.json"
-    command = ["policy=straight", "guards=all", "guards.evasion.sight=9", "guards.shield.margin=0.2"]
+    command = [
+        "policy=straight",
+        "valleys=training",
+        "guards=all",
+        "guards.evasion.sight=9",
+        "guards.shield.margin=0.2",
+    ]
     command += ["episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false", "env.airframe.collision_radius=0.3"]
     assert in_process(evaluate.main, *command, f"output={output}") == 0
     result = json.loads(output.read_text())

@@ -6,9 +6,10 @@ import pytest
 
 from tests.helpers.folders import run_folder
 from uavrl.config import compose
+from uavrl.evaluation.policies import PACKAGED
 from uavrl.reporting.groups import HOW_IT_RUNS, group_runs, same_task
 from uavrl.reporting.runs import read_runs
-from uavrl.runs.config import FREE_KEYS
+from uavrl.runs.config import FREE_KEYS, load_config
 from uavrl.runs.labels import label
 
 
@@ -67,6 +68,13 @@ def test_a_part_of_somebody_elses_is_called_by_its_yaml() -> None:
 )
 def test_a_preset_gives_its_name_and_what_differs_from_it_is_added(changes: list[str], expected: str) -> None:
     assert label({str(key): str(choice) for key, choice in compose(*changes).choices.items()}) == expected
+
+
+def test_the_packaged_policies_have_the_name_of_their_method() -> None:
+    """Their configurations name a preset that is called otherwise today."""
+    for name in ("best", "best_dynamic"):
+        choices = load_config(PACKAGED / name / "config.yaml").choices
+        assert label({str(key): str(choice) for key, choice in choices.items()}) == "TD3-BC"
 
 
 def test_a_seed_counts_once_by_its_longest_run(tmp_path: Path) -> None:

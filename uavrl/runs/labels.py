@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from functools import cache
 
 from uavrl.config.yaml_files import NONE, compose
-from uavrl.errors import UavrlError
 
 # Names of choices in a label; another choice, somebody's own perhaps, goes by the name of its yaml.
 _NAMES = {
@@ -21,6 +20,7 @@ _NAMES = {
 }
 _AROUND = ("recurrent", "fork", "lifeguard", "actor_penalty", "smoothness")
 _PRESETS = {"dagger": "DAgger", "td3_bc": "TD3-BC"}  # those that stand for a method
+_RENAMED = {"best": "td3_bc"}  # presets that older runs name, the packaged policies among them
 _OF_A_METHOD = ("algo", *_AROUND, "cloning", "backward_reward", "reward")
 
 
@@ -35,6 +35,7 @@ def label(choices: Mapping[str, str]) -> str:
         'TD3-LG + ABR⁺, Eq. 3.6'
     """
     preset = choices.get("preset", NONE)
+    preset = _RENAMED.get(preset, preset)
     if preset in _PRESETS:
         usual = _of_preset(preset)
         own = [key for key in _OF_A_METHOD if choices.get(key, NONE) != usual.get(key, NONE)]
@@ -52,7 +53,4 @@ def label(choices: Mapping[str, str]) -> str:
 @cache
 def _of_preset(preset: str) -> dict[str, str]:
     """The choices of a preset as it is."""
-    try:
-        return {str(key): str(value) for key, value in compose(f"preset={preset}").choices.items()}
-    except UavrlError:
-        return {}
+    return {str(key): str(value) for key, value in compose(f"preset={preset}").choices.items()}

@@ -20,7 +20,7 @@ def test_flights_end_as_in_an_evaluation_of_the_same_tasks(
     found = json.loads(Path("found.json").read_text())
     for name, policy in (("first", "straight"), ("second", "vfh")):
         told = f"{policy}.json"
-        words = (f"policy={policy}", "env=static", "episodes=8", "progress=false")
+        words = (f"policy={policy}", "env=static", "valleys=training", "episodes=8", "progress=false")
         assert in_process(evaluate, *words, f"output={told}") == 0
         flown = json.loads(Path(told).read_text())["outcomes"]
         assert found[name]["outcomes"] == flown[: found["tasks"]] and set(flown) <= {"S", "C", "T"}

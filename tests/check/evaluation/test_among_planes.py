@@ -10,7 +10,14 @@ import pytest
 from tests.helpers.commands import in_process
 from uavrl.cli import evaluate
 
-PLANES = ["env=dynamic", "env.world.planes=20", "env.world.obstacles=0", "episodes=40", "progress=false"]
+PLANES = [
+    "env=dynamic",
+    "valleys=training",
+    "env.world.planes=20",
+    "env.world.obstacles=0",
+    "episodes=40",
+    "progress=false",
+]
 
 
 @pytest.mark.parametrize(("guards", "least", "most"), [("none", 8, 40), ("evasion", 0, 6), ("all", 0, 6)])
