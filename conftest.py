@@ -6,7 +6,7 @@ import logging
 import os
 import shutil
 import signal
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,9 +17,10 @@ import pytest
 from tests.helpers.commands import TINY, in_process
 
 if TYPE_CHECKING:
-    from uavrl.envs.world import Valley, WorldConfig
+    from uavrl.envs.place import Place
+    from uavrl.envs.rules import WorldRules
 
-_VALLEYS: dict[str, Valley] = {}
+_VALLEYS: dict[str, Place] = {}
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -55,18 +56,20 @@ def valleys_built_once() -> Iterator[None]:
     except ImportError:  # the tests of uavrl-onboard need no uavrl
         yield
         return
-    build = world.build_valley
+    build = world.build_place
 
-    def build_once(config: WorldConfig, seed: int, origin: np.ndarray, count: int) -> Valley:
-        like = dict(config) if isinstance(config, Mapping) else asdict(config)
+    def build_once(config: WorldRules, number: int, origin: np.ndarray) -> Place:
+        if not isinstance(config, world.WorldConfig):  # a file may have changed
+            return build(config, number, origin)
+        like, count = asdict(config), config.obstacles_of(number)
         # What a valley is like, its neighbours do not say, nor how many planes fly through it.
-        key = repr(({**like, "seeds": None, "obstacles": count, "planes": like["planes"] > 0}, seed))
+        key = repr(({**like, "seeds": None, "obstacles": count, "planes": config.planes > 0}, config.seeds[number]))
         if key not in _VALLEYS:
-            _VALLEYS[key] = built_valley(key, lambda: build(config, seed, origin, count))
+            _VALLEYS[key] = built_valley(key, lambda: build(config, number, origin))
         return replace(_VALLEYS[key], origin=origin)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(world, "build_valley", build_once)
+        patch.setattr(world, "build_place", build_once)
         yield
 
 

@@ -94,7 +94,7 @@ def latencies(folder: Path) -> list[float]:
 
 def in_the_library(policy: Path, tasks: int, output: Path) -> str:
     """The outcomes of the same tasks in `uavrl-evaluate`, a letter each."""
-    what = ["env=static", f"episodes={tasks}", f"output={output}", "progress=false"]
+    what = ["env=static", "valleys=training", f"episodes={tasks}", f"output={output}", "progress=false"]
     subprocess.run(
         [sys.executable, "-m", "uavrl.cli.evaluate", f"policy={policy}", *what], check=True, stdout=subprocess.DEVNULL
     )

@@ -26,7 +26,7 @@ from tensordict import TensorDictBase
 from uavrl.envs import NavigationEnv
 from uavrl.envs.world import World
 from uavrl.evaluation.environment import make_env
-from uavrl.runs.episodes import outcome, wilson
+from uavrl.runs.episodes import outcome, rate_cell, wilson
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.cli.process import one_sentence
 
@@ -119,7 +119,7 @@ def arrivals(env: NavigationEnv, way: Way, tasks: int, seed: int) -> dict[str, A
 
 def controllers(world: World) -> dict[str, Way]:
     """Every blind way through the first valley of a world, by name."""
-    half, origin = np.array(world.config.size) / 2, world.valleys[0].origin
+    half, origin = np.array(world.config.size) / 2, world.places[0].origin
     levels = np.arange(0.5, world.config.ceiling, 0.5)
     walls = {0: "-x", 1: "+x", 2: "-y", 3: "+y"}
     return {
@@ -145,11 +145,10 @@ def main() -> None:
     config = experiment("perception.blind=true", *arguments.overrides)
     env = make_env(config.env, config.perception, num_uavs=16).base_env
     rows = {}
-    print(f"| blind flight, {arguments.tasks} tasks | arrives | 95 % interval |\n|---|---|---|")
+    print(f"| blind flight, {arguments.tasks} tasks | success, % (95 % CI) |\n|---|---|")
     for name, way in controllers(env.world).items():
         rows[name] = arrivals(env, way, arguments.tasks, arguments.seed)
-        rate = rows[name]["success"]
-        print(f"| {name} | {rate['rate']:.1%} | {rate['low']:.1%} – {rate['high']:.1%} |", flush=True)
+        print(f"| {name} | {rate_cell(rows[name]['success'])} |", flush=True)
     if arguments.json:
         about = {"overrides": arguments.overrides, "tasks": arguments.tasks, "seed": arguments.seed}
         arguments.json.write_text(

@@ -58,9 +58,9 @@ def make_train(seed: int, run: Path, args: argparse.Namespace) -> None:
 def build_valleys(folder: Path) -> None:
     """Fills the cache with the valleys that `make train` builds."""
     code = (
-        "from uavrl.config import compose, validate; from uavrl.envs.world import map_valleys, WorldConfig; "
-        "world = validate(compose('preset=dagger')).env.world; map_valleys(world); "
-        "map_valleys(WorldConfig(seeds=tuple(range(100, 110))))"
+        "from uavrl.config import compose, validate; from uavrl.envs.world import map_places, WorldConfig; "
+        "world = validate(compose('preset=dagger')).env.world; map_places(world); "
+        "map_places(WorldConfig(seeds=tuple(range(100, 110))))"
     )
     timed([sys.executable, "-c", code], folder / "cache")
 

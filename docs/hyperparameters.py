@@ -13,7 +13,7 @@ from uavrl.config import compose, conf_dir
 
 # The sections of the page, and the groups in each; "" are the keys of no group.
 SECTIONS = {
-    "algo": ("algo",),
+    "algo": ("algo", "recurrent"),
     "actor_terms": ("fork", "lifeguard", "actor_penalty", "smoothness"),
     "demonstrator": ("demonstrator", "cloning"),
     "replay": ("buffer", "backward_reward"),

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from run_statistics import named_folder, opened
 
 from uavrl.reporting.learning_curves import moving_mean
-from uavrl.runs.episodes import read_episodes, wilson
+from uavrl.runs.episodes import rate_cell, read_episodes, wilson
 from uavrl_onboard.cli.process import one_sentence
 
 COLUMNS = ("run", "total_steps", "outcome", "world_seed")
@@ -71,7 +71,8 @@ def main() -> None:
             method, seed = found.groups() if found else (name, "0")
             runs.setdefault(method, {}).setdefault(seed, []).append((steps, outcome == "arrived"))
     spans = [tuple(int(end) for end in span.split("-")) for span in args.ranges]
-    print(f"| in dense valleys | seeds | {' | '.join(f'steps {low:,} to {high:,}' for low, high in spans)} |")
+    heads = " | ".join(f"steps {low:,} to {high:,}" for low, high in spans)
+    print(f"| success in dense valleys, % (95 % CI) | seeds | {heads} |")
     print("|---" * (2 + len(spans)) + "|")
     for method, seeds in runs.items():
         flights = [flight for seed in seeds.values() for flight in seed]
@@ -86,8 +87,7 @@ def cell(arrived: list[bool]) -> str:
     if len(arrived) < FEWEST:
         return "–"
     found = wilson(sum(arrived), len(arrived))
-    rate, low, high = (100 * found[key] for key in ("rate", "low", "high"))
-    return f"{rate:.0f} % ({low:.0f}–{high:.0f}) of {len(arrived)}"
+    return f"{rate_cell(found)} of {len(arrived)}"
 
 
 def plot(runs: dict[str, dict[str, list[tuple[int, bool]]]], window: int, output: Path) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from run_statistics import FEWEST, difference, difference_of_rates
 
 from uavrl.errors import UavrlError, reason
-from uavrl.runs.episodes import wilson
+from uavrl.runs.episodes import success_text, wilson
 from uavrl_onboard.cli.process import one_sentence
 
 
@@ -51,8 +51,7 @@ def main() -> None:
     sides = [[arrivals(place) for place in side] for side in (args.these, args.less)]
     rates = [wilson(*map(sum, zip(*side, strict=True))) for side in sides]
     for side, rate in zip(sides, rates, strict=True):
-        shown = "{rate:.1%} ({low:.1%} to {high:.1%})".format(**rate)
-        print(f"{shown} of {sum(tasks for _, tasks in side)} tasks, trainings: {len(side)}")
+        print(f"{success_text(rate, sum(tasks for _, tasks in side))}, trainings: {len(side)}")
     one, other = ({end: 100 * value for end, value in rate.items()} for rate in rates)
     print(f"difference {told(difference_of_rates(one, other))}")
     if min(map(len, sides)) >= FEWEST:

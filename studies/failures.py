@@ -1,10 +1,13 @@
 """How do policies fail? Draws the first failure in each of some recordings from above, side by side.
 
     for name in vfh_star mppi potential_field best; do
-        uavrl-replay policy=$name env=static env.world.obstacles=90 episodes=12 data=$name.npz output=$name.html
+        uavrl-replay policy=$name env=static valleys=training env.world.obstacles=90 episodes=12 data=$name.npz \
+            output=$name.html
     done
-    uavrl-replay policy=rrt_connect env.world.obstacles=135 episodes=12 data=rrt_connect.npz output=rrt_connect.html
-    uavrl-replay policy=rrt_map env.world.obstacles=135 tasks=[21,47,64] data=rrt_map.npz output=rrt_map.html
+    uavrl-replay policy=rrt_connect valleys=training env.world.obstacles=135 episodes=12 data=rrt_connect.npz \
+            output=rrt_connect.html
+    uavrl-replay policy=rrt_map valleys=training env.world.obstacles=135 tasks=[21,47,64] data=rrt_map.npz \
+            output=rrt_map.html
     python studies/failures.py {vfh_star,mppi,potential_field,rrt_connect,rrt_map,best}.npz --output failures.png
 
 Dark is what is higher than 1.5 m below the place where the flight ends; light is what is lower. The way turns

@@ -34,7 +34,7 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.tasks import FlightMap
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import scenarios
-from uavrl.runs.episodes import LETTERS, wilson
+from uavrl.runs.episodes import LETTERS, rate_cell, wilson
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.cli.process import one_sentence
 
@@ -148,7 +148,7 @@ class KnowsTheMap:
 
     def __init__(self, env: NavigationEnv, narrow: float = NARROW) -> None:
         self.world = env.world
-        self.valleys = {valley.seed: (valley, Ways(valley.flight, narrow)) for valley in env.world.valleys}
+        self.valleys = {valley.seed: (valley, Ways(valley.flight, narrow)) for valley in env.world.places}
         self._following: dict[int, np.ndarray] = {}  # of the tasks that are being flown
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -200,11 +200,11 @@ def main() -> None:
     args = parser.parse_args()
     torch.set_num_threads(1)
     found = {}
-    print("| row | arrived | steps of those | most | straight on |\n|---|---|---|---|---|")
+    print("| row | success, % (95 % CI) | steps of those | most | straight on |\n|---|---|---|---|---|")
     for row in args.rows:
         found[row] = flown(row, args.tasks, args.narrow)
-        told = "{rate:.1%} ({low:.1%}–{high:.1%}) | {steps:.0f} | {longest} | {straight:.0f}".format(**found[row])
-        print(f"| {row} | {told} |", flush=True)
+        told = "{steps:.0f} | {longest} | {straight:.0f}".format(**found[row])
+        print(f"| {row} | {rate_cell(found[row])} | {told} |", flush=True)
     if args.json:
         args.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 

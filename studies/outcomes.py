@@ -18,7 +18,7 @@ from typing import Any
 from scipy.stats import binomtest
 
 from uavrl.errors import UavrlError
-from uavrl.runs.episodes import LETTERS, outcomes_of, wilson
+from uavrl.runs.episodes import LETTERS, outcomes_of, success_text, wilson
 from uavrl_onboard.cli.process import one_sentence
 
 TASKS = ("seed", "episodes", "env", "valleys", "planes")  # what tells whether two evaluations flew the same tasks
@@ -65,12 +65,11 @@ def main() -> None:
     sides = [evaluation(args.one), evaluation(args.other)]
     found = compared(*sides)
     for place, side, arrived in zip((args.one, args.other), sides, found["success"], strict=True):
-        rate = "{rate:.1%} ({low:.1%} to {high:.1%})".format(**wilson(arrived, found["tasks"]))
-        print(f"{rate} of {found['tasks']} tasks: {place}, {side.get('processor', 'processor not recorded')}")
+        rate = success_text(wilson(arrived, found["tasks"]), found["tasks"])
+        print(f"{rate}: {place}, {side.get('processor', 'processor not recorded')}")
     share = found["changed"] / found["tasks"]
-    print(
-        f"{share:.1%} of the outcomes differ: {found['lost']} successes lost, {found['won']} won (p = {found['p']:.2f})"
-    )
+    told = f"{found['lost']} successes lost, {found['won']} won (p = {found['p']:.2f})"
+    print(f"{100 * share:.1f} % of the outcomes differ: {told}")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import torch
 from tests.helpers.wire import Wire
 from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
-from uavrl.runs.episodes import wilson
+from uavrl.runs.episodes import success_text, wilson
 from uavrl_onboard.cli.process import one_sentence
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import guard_settings
@@ -70,7 +70,7 @@ def main() -> None:
         outcomes += outcome
         print(f"task {len(outcomes) - 1}: {outcome} after {steps} steps", flush=True)
     found = wilson(outcomes.count("S"), len(outcomes))
-    print(f"{found['rate']:.1%} ({found['low']:.1%}-{found['high']:.1%}) of {len(outcomes)} tasks")
+    print(success_text(found, len(outcomes)))
     if args.json:
         content = {"row": args.row, "guards": args.guards, "outcomes": outcomes, "success": found}
         args.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -21,12 +21,12 @@ from passes import among_planes
 from tensordict import TensorDictBase
 
 from uavrl.envs import NavigationEnv
-from uavrl.envs.navigation import ACTION_LIMIT
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import policy_folder
 from uavrl.evaluation.rollout import rollout_episodes
-from uavrl.runs.episodes import wilson
+from uavrl.runs.episodes import success_text, wilson
 from uavrl.runs.provenance import versions
+from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.cli.process import one_sentence
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
@@ -84,8 +84,7 @@ def main() -> None:
             flight.outcome == "arrived" for flight in rollout_episodes(env, flies, args.episodes, progress=True)
         )
         found[name] = wilson(arrived, args.episodes)
-        rate, low, high = (100 * found[name][key] for key in ("rate", "low", "high"))
-        print(f"{name:16} {rate:5.1f} % ({low:.1f}-{high:.1f})", flush=True)
+        print(f"{name:16} {success_text(found[name], args.episodes)}", flush=True)
         env.close()
     if args.json:
         args.json.write_text(json.dumps(found, indent=2), encoding="utf-8")

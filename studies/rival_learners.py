@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from uavrl.runs.episodes import wilson
+from uavrl.runs.episodes import rate_cell, wilson
 from uavrl_onboard.cli.process import one_sentence
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -85,8 +85,8 @@ def row(name: str, result: dict[str, Any]) -> str:
     cells = []
     for world in WORLDS:
         ends = result[world]["outcomes"]
-        rate = "{rate:.1%} ({low:.1%}–{high:.1%})".format(**wilson(ends.count("S"), len(ends)))
-        cells += [rate, f"{ends.count('C') / len(ends):.1%}"]
+        rate = rate_cell(wilson(ends.count("S"), len(ends)))
+        cells += [rate, f"{100 * ends.count('C') / len(ends):.1f}"]
     return f"| {name} | {' | '.join(cells)} |"
 
 
@@ -100,7 +100,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also put what was found into this file")
     args = parser.parse_args()
     results: dict[str, Any] = {}
-    print("| learner, seed | " + " | ".join(f"{world}: success | collision" for world in WORLDS) + " |")
+    print("| learner, seed | " + " | ".join(f"{world}: success, % (95 % CI) | collision, %" for world in WORLDS) + " |")
     print("|---" * (1 + 2 * len(WORLDS)) + "|")
     for seed in args.seeds:
         for learner in args.learners:

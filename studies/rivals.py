@@ -32,7 +32,7 @@ from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import BASELINES, PACKAGED, named_policy
 from uavrl.evaluation.rollout import rollout
 from uavrl.planners import ompl_search, point_memory, rrt_connect
-from uavrl.runs.episodes import wilson
+from uavrl.runs.episodes import rate_cell, success_text, wilson
 from uavrl.runs.machine import processors
 from uavrl_onboard import geometry
 from uavrl_onboard.cli.process import one_sentence
@@ -64,7 +64,7 @@ def fly(name: str, row: str, folder: Path, tasks: int) -> dict[str, Any]:
             f"which flies what is missing."
         )
     found: dict[str, Any] = json.loads((folder / name / f"{row}.json").read_text(encoding="utf-8"))
-    print(f"{name}, {row}: {100 * found['success']['rate']:.1f} %", file=sys.stderr, flush=True)
+    print(f"{name}, {row}: {success_text(found['success'], found['episodes'])}", file=sys.stderr, flush=True)
     return {key: value for key, value in found.items() if key != "flights"}
 
 
@@ -114,7 +114,7 @@ def modules_of(name: str) -> list[Any]:
 def row_of(result: dict[str, Any], best: dict[str, Any] | None) -> list[str]:
     """What a table says of a row: success, difference to the best, steps per success."""
     arrived, tasks = result["outcomes"].count("S"), result["episodes"]
-    success = "{rate:.1%} ({low:.1%}–{high:.1%})".format(**wilson(arrived, tasks))
+    success = rate_cell(wilson(arrived, tasks))
     steps = f"{result['steps_per_arrival']:.0f}" if arrived else "–"
     if best is None:
         return [success, "–", steps]
@@ -139,7 +139,7 @@ def main() -> None:
     found: dict[str, dict[str, Any]] = {name: {} for name in args.rivals}
     for (name, row), each in zip(pairs, rows, strict=True):
         found[name][row] = each
-    heads = [f"{row}: {told}" for row in args.rows for told in ("success", "to `best`, points", "steps")]
+    heads = [f"{row}: {told}" for row in args.rows for told in ("success, % (95 % CI)", "to `best`, points", "steps")]
     print(f"| policy | {' | '.join(heads)} | ms (1, 16 vehicles) | lines |")
     print("|---" * (len(heads) + 3) + "|")
     for name in args.rivals:

@@ -28,7 +28,7 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.policies.baselines import VectorFieldHistogram
-from uavrl.runs.episodes import wilson
+from uavrl.runs.episodes import rate_cell, wilson
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.cli.process import one_sentence
 from uavrl_onboard.geometry import world_to_yaw
@@ -95,7 +95,8 @@ def main() -> None:
     chosen = ["env=dynamic", "env.num_uavs=16", valleys, "perception=range_image", *overrides]
     settings = validate(compose(*chosen))
     result: dict[str, dict[str, float]] = {}
-    print("| told of planes | arrived | collided | timed out | more than told of none |\n|---|---|---|---|---|")
+    print("| told of planes | success, % (95 % CI) | collided | timed out | more than told of none |")
+    print("|---|---|---|---|---|")
     for known in KNOWN:
         env = make_env(settings.env, settings.perception, seed=30_000)
         rule = VectorFieldHistogram(reduction="range_image", statistic="proximity")
@@ -105,11 +106,10 @@ def main() -> None:
         env.close()
         row = {end: outcomes.count(end) for end in ("arrived", "collided", "timed_out")}
         rate = wilson(row["arrived"], args.tasks)
-        told = f"{100 * rate['rate']:.1f} % ({100 * rate['low']:.1f}–{100 * rate['high']:.1f})"
         result[known] = {**row, **rate}
         more = difference_of_rates(rate, result[KNOWN[0]])
         gain = "{:+.1f} ({:+.1f} to {:+.1f})".format(*(100 * each for each in more)) if known != KNOWN[0] else ""
-        print(f"| {known} | {told} | {row['collided']} | {row['timed_out']} | {gain} |", flush=True)
+        print(f"| {known} | {rate_cell(rate)} | {row['collided']} | {row['timed_out']} | {gain} |", flush=True)
     if args.json:
         args.json.write_text(
             json.dumps({"tasks": args.tasks, "overrides": chosen, "known": result}, indent=1) + "\n", encoding="utf-8"

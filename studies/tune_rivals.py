@@ -28,7 +28,7 @@ from uavrl.planners.potential_field import FieldWeights, PotentialField
 from uavrl.planners.rrt_connect import RRTConnect, RRTConnectWeights
 from uavrl.planners.rrt_map import RRTMap
 from uavrl.planners.vfh_star import VFHStar, VFHStarWeights
-from uavrl.runs.episodes import wilson
+from uavrl.runs.episodes import success_text, wilson
 from uavrl.runs.provenance import versions
 from uavrl_onboard.cli.process import one_sentence
 
@@ -145,8 +145,8 @@ def main() -> None:
         print(f"{len(left)} settings, {tasks} tasks each")
         for row in rounds[-1][:8]:
             told = {key: float(f"{value:.3g}") for key, value in row["setting"].items()}
-            rate = f"{100 * row['rate']:5.1f} % ({100 * row['low']:.1f}-{100 * row['high']:.1f})"
-            print(f"  {rate}, collided {100 * row['collided']:.1f} %, {row['steps']:.0f} steps  {told}", flush=True)
+            rest = f"collided {100 * row['collided']:.1f} %, {row['steps']:.0f} steps"
+            print(f"  {success_text(row, tasks)}, {rest}  {told}", flush=True)
         if len(left) < 8:
             break
         left, tasks = [row["setting"] for row in rounds[-1][: len(left) // 4]], 4 * tasks

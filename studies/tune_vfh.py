@@ -21,7 +21,7 @@ from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
-from uavrl.runs.episodes import wilson
+from uavrl.runs.episodes import success_text, wilson
 from uavrl.runs.provenance import versions
 from uavrl_onboard.cli.process import one_sentence
 
@@ -83,7 +83,7 @@ def main() -> None:
         print(f"{len(left)} settings, {tasks} tasks each; present ones: {present}")
         for row in rounds[-1][:8]:
             told = {key: round(value, 3) for key, value in row["setting"].items()}
-            print(f"  {100 * row['rate']:5.1f} % ({100 * row['low']:.1f}-{100 * row['high']:.1f})  {told}", flush=True)
+            print(f"  {success_text(row, tasks)}  {told}", flush=True)
         if len(left) == 1:
             break
         left, tasks = [setting for _, setting in found[: max(1, len(left) // 4)]], 4 * tasks

@@ -4,8 +4,8 @@
     python -m tools.package_policy best RUN_FOLDER --guards all   # from the root, all changes committed
 
 The folder then holds the weights with ``policy.json``, which names the versions that trained them, the configuration,
-``contract.json``, ``suite.json`` with the outcome of each task, and states with their actions, by which the policy is
-tested on any processor. What it held before is replaced.
+``contract.json``, ``suite.json`` with the outcome of each task, the model card, and states with their actions, by which
+the policy is tested on any processor. What it held before is replaced, except for ``card.yaml``.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import PACKAGED
 from uavrl.evaluation.summary import scenarios
 from uavrl.export.export import export_policy
+from uavrl.export.model_card import STATEMENTS, write_card
 from uavrl.runs.provenance import commit
 from uavrl_onboard.cli.process import one_sentence
 from uavrl_onboard.guards.settings import guard_settings
@@ -61,6 +62,9 @@ def package(name: str, run: Path, suite: Path, checkpoint: str | None = None, gu
         about = export_policy(run, checkpoint, folder, network=False, guards=guard_settings(guards))
         lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(row)}" for key, row in rows(suite, about).items())
         (folder / "suite.json").write_text(f"{{\n{lines}\n}}\n", encoding="utf-8")
+        if (PACKAGED / name / STATEMENTS).is_file() and not (folder / STATEMENTS).is_file():
+            shutil.copy(PACKAGED / name / STATEMENTS, folder)
+        write_card(folder, name)
         shutil.rmtree(PACKAGED / name, ignore_errors=True)
         shutil.copytree(folder, PACKAGED / name)
     record_actions(name)

@@ -23,6 +23,7 @@ __all__ = [
 _EXTRAS = {  # the modules that each extra of uavrl brings
     "sim": ("pybullet", "embreex", "gymnasium"),
     "train": ("hydra", "tqdm", "filelock", "threadpoolctl", "sklearn", "kneed"),
+    "video": ("av", "PIL"),
 }
 
 

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from uavrl_onboard.guards.settings import GuardSettings
 
 Acts = Callable[[TensorDictBase], TensorDictBase]
-"""The least that a policy must be: it is called with an environment's output and writes ``action``."""
+"""The simplest policy, a callable that reads an environment's output and writes ``action``."""
 
 
 @runtime_checkable

@@ -1,4 +1,4 @@
-"""Writes what `uavrl-evaluate suite=...` found of a policy as a table, into a page or to the terminal.
+"""Write the scenarios that `uavrl-evaluate suite=...` flew as a table, into a page or to the terminal.
 
 python docs/figures/suite_table.py uavrl/policies/data/best/suite.json --page docs/deploy.md
 """
@@ -14,25 +14,25 @@ from uavrl.errors import UavrlError
 BEGIN, END = "<!-- from suite.json -->\n", "<!-- end of suite.json -->\n"  # around the table in a page
 WORLDS = {
     "static": "the default valley",
-    "held_out": "ten valleys never trained in",
+    "held_out": "ten valleys that no training used",
     "dense": "twice as many obstacles",
     "traps": "ten valleys with dead ends, into which every task leads",
-    "real": "the ten valleys, in which all of the following comes together",
+    "real": "the ten valleys with all effects below",
     "real_vehicle": "mass and inertia ± 20 %, thrust ± 15 %, motors half to twice as slow, drag ± 50 %",
     "real_delay": "actions and scans each up to 0.1 s late",
-    "real_sensor": "up to: LiDAR 3° askew, noise 3 cm, 10 % lost, blind for 60°; altitude 0.2 m, heading 5° off",
+    "real_sensor": "up to: LiDAR tilted by 3°, noise 3 cm, dropout 10 %, blind for 60°; altitude 0.2 m, heading 5° off",
     "real_wind": "wind up to 2 m/s, gusts up to 0.5 m/s",
 }
 
 
 def table(suite: Path) -> str:
-    """The table's rows in Markdown; a scenario that the suite does not hold has dashes."""
+    """Return the table in Markdown; a scenario that is not in the suite has dashes."""
     try:
         found = json.loads(suite.read_text(encoding="utf-8"))
         rows = [_row(world, found.get(world)) for world in WORLDS]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UavrlError(f"Expected scenarios in {suite}, as uavrl-evaluate suite=... writes: {error!r}.") from error
-    return "\n".join(["| row of the suite | success | collision | time-out |", "|---|---|---|---|", *rows, ""])
+    return "\n".join(["| scenario | success in % | collision in % | time-out in % |", "|---|---|---|---|", *rows, ""])
 
 
 def _row(world: str, found: dict[str, dict[str, float]] | None) -> str:
@@ -42,11 +42,11 @@ def _row(world: str, found: dict[str, dict[str, float]] | None) -> str:
 
 def _percent(interval: dict[str, float]) -> str:
     rate, low, high = (100.0 * interval[key] for key in ("rate", "low", "high"))
-    return f"{rate:.1f} % ({low:.1f}–{high:.1f})"
+    return f"{rate:.1f} ({low:.1f}–{high:.1f})"
 
 
 def main() -> None:
-    """Prints the table, or puts it between a page's two comments."""
+    """Print the table, or put it between a page's two comments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("suite", type=Path, metavar="SUITE.json")
     parser.add_argument("--page", type=Path)

@@ -68,9 +68,9 @@ def main() -> None:
     world = World(WorldConfig(seeds=(arguments.seed,), obstacles=arguments.obstacles, traps=arguments.traps))
     with silenced():
         client = pybullet.connect(pybullet.DIRECT)
-    for tile in world.valleys[0].ground.tiles():
+    for tile in world.places[0].ground.tiles():
         add(client, tile, GROUND)
-    for obstacle in world.valleys[0].obstacles:
+    for obstacle in world.places[0].obstacles:
         add(client, obstacle.mesh, COLOURS.get(obstacle.kind, ROCK))
     rng = np.random.default_rng(0)
     tasks = [world.sample_task(rng) for _ in range(5 if arguments.traps else 1)]

@@ -13,6 +13,7 @@ from pathlib import Path
 from shell import sh, size
 
 from uavrl.reporting.report import make_report
+from uavrl.runs.episodes import success_text
 
 FLIGHTS = size("FLIGHTS", 60)
 examples = Path.cwd().resolve().parents[1] / "examples" / "own_parts"
@@ -97,10 +98,8 @@ report = make_report([folder / "runs"], window=FLIGHTS // 3)
 for group in report.groups:
     success = group["last"]["success"]
     seeds = ", ".join(f"{100 * rate:.0f}" for rate in group["success_by_seed"])
-    print(
-        f"{group['label']}: success rate {100 * success['rate']:.0f} % "
-        f"({100 * success['low']:.0f} to {100 * success['high']:.0f}); by seed {seeds} %"
-    )
+    print(f"{group['label']}: {success_text(success, group['last']['episodes'], 'training episode')}")
+    print(f"  by seed: {seeds} %")
 
 # %% [markdown]
 # ## How to read it

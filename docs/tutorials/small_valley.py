@@ -102,5 +102,5 @@ plt.show()
 # %% [markdown]
 # ## The full training
 #
-# `make train` does the same with 48 valleys of 40 m × 30 m, 45 or 90 obstacles, domain randomisation, larger networks and more episodes. It
+# `make train` does the same with 32 valleys of 40 m × 30 m, 45 or 90 obstacles, domain randomisation, larger networks and more episodes. It
 # evaluates the policy in unseen valleys. See [the results](../results.md#which-policy-flies-best).

@@ -206,7 +206,9 @@ def rotation_about(axes: np.ndarray, angles: np.ndarray | float) -> np.ndarray:
         [0.0, 1.0, 0.0]
     """
     angles = np.asarray(angles)[..., None, None]
-    cross = np.cross(np.eye(3), axes[..., None, :])
+    x, y, z = axes[..., 0], axes[..., 1], axes[..., 2]
+    zero = np.zeros_like(x)
+    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
     return np.eye(3) + np.sin(angles) * cross + (1 - np.cos(angles)) * cross @ cross
 
 

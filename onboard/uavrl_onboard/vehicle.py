@@ -9,6 +9,9 @@ import numpy as np
 
 from uavrl_onboard.errors import UavrlError
 
+DECELERATION = 5.4  # m/s², level: g tan(0.5 rad), that of the largest tilt
+REACTION = 0.3  # s, until a commanded velocity is flown
+
 Hull = tuple[float, float]  # m: the radius, and half the height
 Place = tuple[float, float, float]
 
@@ -31,6 +34,7 @@ class Vehicle:
         flight_level: Altitude that the vehicle returns to, in m.
         lowest: Lowest altitude at which it may fly, in m above the flight level; negative.
         highest: Highest altitude at which it may fly, in m above the flight level.
+        lidar_elevations: Lowest and highest ray of the LiDAR in degrees, between which motion is looked for.
 
     Raises:
         UavrlError: for a number that is not finite, a size, limit, rate or level that is not above 0, a LiDAR position
@@ -50,11 +54,18 @@ class Vehicle:
     flight_level: float = 3.5
     lowest: float = -2.3
     highest: float = 0.7
+    lidar_elevations: tuple[float, float] = (-15.0, 15.0)
 
     def __post_init__(self) -> None:
         """Refuse a vehicle that nothing can be computed with."""
         object.__setattr__(self, "lidar_position", lidar_place(self.lidar_position))
-        for name in (field.name for field in fields(self) if field.name != "lidar_position"):
+        low, high = self.lidar_elevations
+        if not -90.0 <= low <= high <= 90.0:
+            raise UavrlError(
+                f"A vehicle's lidar_elevations must be two angles in [-90, 90] degrees, the lower one first, got "
+                f"{self.lidar_elevations}."
+            )
+        for name in (field.name for field in fields(self) if not field.name.startswith("lidar_")):
             value, signed = getattr(self, name), name in ("lowest", "highest")
             if not (isinstance(value, int | float | np.number) and math.isfinite(value) and (signed or value > 0)):
                 least = "" if signed else " above 0"
@@ -79,6 +90,16 @@ class Vehicle:
     def period(self) -> float:
         """Time between two scans in s."""
         return 1.0 / self.control_rate
+
+
+def stopping_distance(speed: float) -> float:
+    """Return how far a vehicle flies on until it stands, in m, from a speed in m/s.
+
+    Examples:
+        >>> [round(stopping_distance(speed), 2) for speed in (2.0, 4.0, 6.0)]
+        [0.97, 2.68, 5.13]
+    """
+    return speed**2 / (2 * DECELERATION) + REACTION * speed
 
 
 def lidar_place(position: object) -> Place:

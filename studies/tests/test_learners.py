@@ -180,7 +180,7 @@ def test_what_was_flown_is_told(said: Callable[..., str], tmp_path: Path) -> Non
     ended = {"steps": 20_050, "updates": 16_000, "versions": {"commit": "0123456"}}
     (run / "summary.json").write_text(json.dumps(ended))
     told = said("rival_learners", tmp_path, "--only-read", "--seeds", 3, "--json", tmp_path / "found.json")
-    assert "| td3, 3 | 25.0% (4.6%–69.9%) | 50.0% | 100.0% (51.0%–100.0%) | 0.0% |" in told
+    assert "| td3, 3 | 25.0 (4.6–69.9) | 50.0 | 100.0 (51.0–100.0) | 0.0 |" in told
     assert json.loads((tmp_path / "found.json").read_text())["td3_seed3"]["commit"] == "0123456"
     import rival_learners
 

@@ -72,7 +72,7 @@ def test_rivals_are_told_beside_the_packaged_policy(
     told: list[str] = []
     monkeypatch.setattr("builtins.print", lambda *words, **more: told.append(str(words[0])))
     rivals.main()
-    assert told[-1].startswith("| `policy=mppi` | 0.0% (0.0%–0.8%) | -91.2 (") and "| 1.0, 16.0 |" in told[-1]
+    assert told[-1].startswith("| `policy=mppi` | 0.0 (0.0–0.8) | -91.2 (") and "| 1.0, 16.0 |" in told[-1]
     asked = sorted(
         f"policy=mppi suite=[{name}] output={tmp_path}/mppi progress=false episodes=500" for name in ("dense", "real")
     )

@@ -44,7 +44,7 @@ def test_the_verdict_is_printed_and_written(
     file = tmp_path / "result/found.json"
     assert in_process(main, recorded["good"], recorded["bad"], "row=dense", f"json={file}") == 0
     told = capsys.readouterr().out.splitlines()
-    assert told[0].startswith(recorded["good"]) and "success rate 100.0 % (95 % CI " in told[0]
+    assert told[0].startswith(recorded["good"]) and "  Success rate: 100.0 % (95 % CI " in told[0]
     assert told[-1].startswith(f"{recorded['good']} succeeds more often than {recorded['bad']} in dense, by at least ")
     result = json.loads(file.read_text())
     assert result["better"] == "first" and 0 < result["low"] < result["difference"] < result["high"]
@@ -92,7 +92,7 @@ def test_files_of_other_tasks_are_refused(recorded: dict[str, str], capsys: pyte
 def test_a_side_may_have_keys_of_its_own() -> None:
     asked = CompareConfig("best", "vfh", row="static", tasks=9, seed=5)
     made = compare_command._overrides("vfh perception.radius=3", asked)
-    assert made == ['policy="vfh"', "perception.radius=3", "env=static", "seed=5", "progress=false"]
+    assert made == ['policy="vfh"', "perception.radius=3", "valleys=training", "env=static", "seed=5", "progress=false"]
 
 
 def test_the_name_of_a_folder_may_hold_what_a_key_has() -> None:

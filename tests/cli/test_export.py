@@ -35,7 +35,8 @@ def test_it_flies_as_its_run_does(run_dir: Path, policy: Path, tmp_path: Path) -
     assert results[0]["training_steps"] == results[1]["training_steps"] > 0
     assert sum(len(file) for file in content(policy).values()) < 50_000
     assert str(run_dir) not in (policy / "config.yaml").read_text()
-    assert set(content(policy)) == {"config.yaml", "contract.json", "policy.json", "policy.onnx", "policy.safetensors"}
+    weights = {"policy.json", "policy.onnx", "policy.safetensors"}
+    assert set(content(policy)) == {"README.md", "config.yaml", "contract.json", *weights}
     about, terms = (json.loads((policy / file).read_text()) for file in ("policy.json", "contract.json"))
     assert terms["weights_sha256"] == about["weights_sha256"] and terms["state"]["size"] == 105
     assert about["versions"] == json.loads((run_dir / "summary.json").read_text())["versions"]

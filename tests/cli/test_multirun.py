@@ -16,7 +16,7 @@ from uavrl.cli.command import explained
 def test_each_value_of_a_sweep_gets_its_own_run(tmp_path: Path) -> None:
     assert sweep(tmp_path, "seed=0,1") == 0
     runs = runs_in(tmp_path)
-    assert sorted(runs) == [0, 1]
+    assert [runs[seed].name for seed in (0, 1)] == ["run_seed=0", "run_seed=1"]
     assert [OmegaConf.load(runs[seed] / "config.yaml").run_dir for seed in (0, 1)] == [str(runs[0]), str(runs[1])]
     summaries = [json.loads((runs[seed] / "summary.json").read_text()) for seed in (0, 1)]
     assert [s["seed"] for s in summaries] == [0, 1]

@@ -114,6 +114,24 @@ def test_flights_in_a_file_make_the_same_page_again(tmp_path: Path) -> None:
     assert data_of(tmp_path / "a.html")["flights"][0]["risks"]["shape"] == [0]
 
 
+def test_a_video_takes_the_place_of_the_page(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ["policy=straight", "env.max_steps=3", *WORLD, f"video={tmp_path / 'f.gif'}", *SMALL]
+    assert in_process(command.main, *arguments) == 0
+    assert f"Written to {tmp_path / 'f.gif'}" in capfd.readouterr().out
+    assert content(tmp_path) == ["f.gif"] and (tmp_path / "f.gif").read_bytes().startswith(b"GIF89a")
+
+
+@pytest.mark.parametrize(("suffix", "missing"), [(".mp4", "av"), (".gif", "PIL")])
+def test_a_video_whose_library_is_missing_is_refused_before_anything_flies(
+    suffix: str, missing: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    monkeypatch.setattr("uavrl.evaluation.environment.make_env", None)  # what flies first makes an environment
+    said = refused(command.main, "policy=straight", f"video={tmp_path / 'f'}{suffix}", *SMALL)
+    assert f"needs {missing}, which is not installed: pip install 'uavrl[video]'" in said
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_log_of_a_real_flight_makes_a_page_beside_it(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     log, _ = write_log(tmp_path / "evening.mcap", 20)
     assert in_process(command.main, f"flight={log}", "points=40") == 0
@@ -140,6 +158,10 @@ def test_the_log_of_a_real_flight_makes_a_page_beside_it(tmp_path: Path, capfd: 
         (["flight=nothing.npz", "task=1"], "leave task out"),
         (["flight=nothing.mcap"], "nothing.mcap cannot be read (No such file or directory)"),
         (["flight=nothing.mcap", "data=f.npz"], "data must be left out with a log"),
+        (["flight=nothing.mcap", "video=f.gif"], "video must be left out with a log"),
+        (["policy=straight", "video=flight.avi"], "video must be a file that ends in .mp4 or .gif, got 'flight.avi'"),
+        (["policy=straight", "tasks=[1,2]", "video=f.gif"], "A video shows one episode, and you asked for 2"),
+        (["policy=straight", "video=/dev/null/f.gif"], "/dev/null/f.gif cannot be written (/dev/null is no folder)"),
     ],
 )
 def test_bad_input_is_refused_by_name(

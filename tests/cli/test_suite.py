@@ -13,6 +13,7 @@ from tests.helpers.commands import in_process
 from tests.helpers.configs import composed
 from tests.helpers.folders import evaluation
 from uavrl.cli import evaluate as evaluate_command
+from uavrl.cli.suite import in_worlds_of
 from uavrl.config import EvaluateConfig, validate
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import PACKAGED
@@ -40,9 +41,11 @@ REAL["real"] = set().union(*REAL.values())
 
 @pytest.mark.parametrize("name", scenarios("all"))
 def test_every_scenario_is_an_evaluation(name: str) -> None:
-    settings = validate(composed("evaluate", "policy=straight", *scenarios([name])[name]), EvaluateConfig)
+    row = in_worlds_of(scenarios([name])[name])
+    settings = validate(composed("evaluate", "policy=straight", *row), EvaluateConfig)
     world, lidar = settings.env.world, settings.perception.lidar
-    seen = (world.obstacles, world.planes, len(settings.valleys or (0,)), settings.env.aerodynamics.wind, lidar.dropout)
+    valleys = len(world.seeds if settings.valleys == "training" else settings.valleys)
+    seen = (world.obstacles, world.planes, valleys, settings.env.aerodynamics.wind, lidar.dropout)
     expected = {
         "static": (45, 0, 1, (0.0, 0.0, 0.0), 0.0),
         "dynamic": (45, 10, 1, (0.0, 0.0, 0.0), 0.0),

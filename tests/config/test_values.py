@@ -29,7 +29,7 @@ def test_what_does_not_go_together_is_refused(overrides: list[str], told: str) -
 
 OUT_OF_RANGE = """
     seed=-1
-    env.num_uavs=0 env.max_steps=0
+    env.num_uavs=0 env.max_steps=0 env.max_speed=0 env.max_speed=11 env.lidar=vlp61
     env.world.seeds=[] env.world.seeds=[-1] env.world.size=[40.0,0.0] env.world.obstacles=-1
     env.world.obstacles=[] env.world.obstacles=[45,-1]
     env.world.obstacle_scale=0 env.world.flight_level=-1 env.world.ceiling=-8 env.world.goal_radius=0

@@ -11,9 +11,10 @@ from pybullet_utils.bullet_client import BulletClient
 from tests.helpers.geometry import bullet_world, convex_body, embree, pierced
 from uavrl.envs.lanes import BELOW_CEILING, LOWEST, Airspace, Lane, plan_lanes
 from uavrl.envs.mesh import icosphere, turned
+from uavrl.envs.place import Place
 from uavrl.envs.terrain import HeightField
 from uavrl.envs.traffic import plane_mesh
-from uavrl.envs.world import Valley, World, WorldConfig
+from uavrl.envs.world import World, WorldConfig
 from uavrl.errors import UavrlError
 from uavrl_onboard.mesh import Mesh, loft
 
@@ -23,12 +24,12 @@ HALF = np.array([20.0, 15.0])  # m, from the middle of the valley to its border
 
 
 @pytest.fixture(scope="module")
-def valley() -> Valley:
-    return World(CONFIG).valleys[0]
+def valley() -> Place:
+    return World(CONFIG).places[0]
 
 
 @pytest.fixture(scope="module")
-def physics(valley: Valley) -> Iterator[tuple[BulletClient, list[int]]]:
+def physics(valley: Place) -> Iterator[tuple[BulletClient, list[int]]]:
     client, bodies = bullet_world(valley.meshes())
     yield client, bodies
     client.disconnect()
@@ -56,7 +57,7 @@ def test_a_lane_dives_flies_level_and_climbs_at_one_speed() -> None:
 
 
 def test_lanes_keep_a_flat_ellipsoid_clear_and_planes_hardly_touch_anything(
-    valley: Valley, physics: tuple[BulletClient, list[int]]
+    valley: Place, physics: tuple[BulletClient, list[int]]
 ) -> None:
     """The ellipsoid, as wide as a plane and half as high, never does; the tips of the wings reach out of it a little.
 
@@ -83,7 +84,7 @@ def test_lanes_keep_a_flat_ellipsoid_clear_and_planes_hardly_touch_anything(
         assert pierced(PLANE.translated(place), solid, scene)
 
 
-def test_lanes_come_in_over_a_wall_and_leave_over_another(valley: Valley) -> None:
+def test_lanes_come_in_over_a_wall_and_leave_over_another(valley: Place) -> None:
     assert len(valley.lanes) >= 8
     wall = valley.ground.heights.max()
     pairs = set()
@@ -98,7 +99,7 @@ def test_lanes_come_in_over_a_wall_and_leave_over_another(valley: Valley) -> Non
     assert pairs == {0, 1, 2, 3}
 
 
-def test_lanes_are_straight_and_level_for_18_m_where_uavs_fly(valley: Valley) -> None:
+def test_lanes_are_straight_and_level_for_18_m_where_uavs_fly(valley: Place) -> None:
     for lane in valley.lanes:
         x, y, z, yaw = lane.poses(np.linspace(0.0, lane.length, 400)).T
         off = (x - x[0]) * np.sin(yaw) - (y - y[0]) * np.cos(yaw)
@@ -112,7 +113,7 @@ def test_lanes_are_straight_and_level_for_18_m_where_uavs_fly(valley: Valley) ->
     assert levels[0] < 2.2 and levels[-1] > 4.0 and max(np.diff(levels)) < 0.8
 
 
-def test_lanes_cross_the_whole_valley(valley: Valley) -> None:
+def test_lanes_cross_the_whole_valley(valley: Place) -> None:
     route = np.concatenate([places(lane) for lane in valley.lanes])
     cells = np.unique(np.floor(route[route[:, 2] < CONFIG.ceiling, :2] / 5.0).astype(int), axis=0)
     assert len(cells) > 0.5 * 8 * 6  # of 5 m by 5 m

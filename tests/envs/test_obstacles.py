@@ -9,8 +9,9 @@ from scipy.spatial import cKDTree
 from tests.helpers.geometry import assert_closed, point_triangle_distance
 from uavrl.envs.mesh import icosphere
 from uavrl.envs.obstacles import KINDS, make_obstacle, wall_places
+from uavrl.envs.place import Place
 from uavrl.envs.tasks import surface_points
-from uavrl.envs.world import Valley, World, WorldConfig
+from uavrl.envs.world import World, WorldConfig
 from uavrl_onboard.mesh import Mesh, loft, signed_volume
 
 HALF = np.array([20.0, 15.0])  # m, from the middle of a valley to its border
@@ -20,18 +21,18 @@ SEEDS = (0, 1, 2, 100)
 
 
 @pytest.fixture(scope="module")
-def valleys() -> list[Valley]:
-    return World(WorldConfig(seeds=SEEDS)).valleys
+def valleys() -> list[Place]:
+    return World(WorldConfig(seeds=SEEDS)).places
 
 
 @pytest.fixture(scope="module")
-def surfaces(valleys: list[Valley]) -> list[cKDTree]:
+def surfaces(valleys: list[Place]) -> list[cKDTree]:
     """Points of the geometry of each valley, no place of which is farther than 6 cm from one."""
     meshes = [Mesh.merge([*valley.ground.tiles(), *(o.mesh for o in valley.obstacles)]) for valley in valleys]
     return [cKDTree(surface_points(mesh, -0.5, 6.0), balanced_tree=False, compact_nodes=False) for mesh in meshes]
 
 
-def near(valley: Valley, surface: cKDTree, xy: np.ndarray, distance: float) -> np.ndarray:
+def near(valley: Place, surface: cKDTree, xy: np.ndarray, distance: float) -> np.ndarray:
     """Which places ``[P, H]`` at ``xy [P, 2]`` and ``HEIGHTS`` above the ground are within a distance of geometry."""
     z = valley.ground.at(xy)[:, None] + HEIGHTS
     points = np.concatenate([np.broadcast_to(xy[:, None], (*z.shape, 2)), z[..., None]], -1)
@@ -83,16 +84,16 @@ def test_one_can_fly_under_mushrooms_and_bridges_and_through_arches() -> None:
 
 def test_number_and_scale_are_keys_and_valleys_take_their_numbers_in_turn() -> None:
     mixed = World(WorldConfig(seeds=(0, 1, 2), obstacles=(4, 7)))
-    assert [len(valley.obstacles) for valley in mixed.valleys] == [4, 7, 4]
+    assert [len(valley.obstacles) for valley in mixed.places] == [4, 7, 4]
     alone, large = (
-        World(WorldConfig(seeds=(1,), obstacles=7, obstacle_scale=s)).valleys[0].obstacles for s in (1.0, 1.5)
+        World(WorldConfig(seeds=(1,), obstacles=7, obstacle_scale=s)).places[0].obstacles for s in (1.0, 1.5)
     )
-    assert [o.position for o in mixed.valleys[1].obstacles] == [o.position for o in alone]
+    assert [o.position for o in mixed.places[1].obstacles] == [o.position for o in alone]
     assert sum(o.radius for o in large) == pytest.approx(1.5 * sum(o.radius for o in alone), rel=1e-4)
-    assert World(WorldConfig(obstacles=0)).valleys[0].obstacles == []
+    assert World(WorldConfig(obstacles=0)).places[0].obstacles == []
 
 
-def test_every_kind_stands_in_every_valley_in_different_sizes(valleys: list[Valley]) -> None:
+def test_every_kind_stands_in_every_valley_in_different_sizes(valleys: list[Place]) -> None:
     for valley in valleys:
         kinds = [obstacle.kind for obstacle in valley.obstacles]
         assert len(kinds) == 45 and set(kinds) == set(KINDS)
@@ -102,7 +103,7 @@ def test_every_kind_stands_in_every_valley_in_different_sizes(valleys: list[Vall
         assert np.mean(past_the_ceiling) > 0.6
 
 
-def test_nothing_floats(valleys: list[Valley]) -> None:
+def test_nothing_floats(valleys: list[Place]) -> None:
     """The feet of an obstacle, all that is within 0.3 m of its lowest vertex, are below the ground at their place."""
     for valley in valleys:
         for obstacle in valley.obstacles:
@@ -111,7 +112,7 @@ def test_nothing_floats(valleys: list[Valley]) -> None:
             assert (feet[:, 2] < valley.ground.at(feet[:, :2])).all(), obstacle.kind
 
 
-def test_buttresses_stand_out_from_the_walls_and_stay_inside_the_border(valleys: list[Valley]) -> None:
+def test_buttresses_stand_out_from_the_walls_and_stay_inside_the_border(valleys: list[Place]) -> None:
     for valley in valleys:
         for obstacle in valley.obstacles:
             if obstacle.kind == "buttress":
@@ -132,7 +133,7 @@ def test_directions_from_the_walls_lead_inwards() -> None:
 
 
 def test_obstacles_are_as_dense_at_every_height_and_in_every_part_of_the_valley(
-    valleys: list[Valley], surfaces: list[cKDTree]
+    valleys: list[Place], surfaces: list[cKDTree]
 ) -> None:
     """The share of places within 0.6 m of geometry, 3 m and more from the border and beside the walls."""
     xy = np.random.default_rng(0).uniform(-1, 1, (1500, 2)) * HALF
@@ -150,7 +151,7 @@ def test_obstacles_are_as_dense_at_every_height_and_in_every_part_of_the_valley(
     assert (close[:, beside].mean((1, 2)) > 1.3 * by_height.mean(1)).all()
 
 
-def test_no_lane_leads_along_a_wall(valleys: list[Valley], surfaces: list[cKDTree]) -> None:
+def test_no_lane_leads_along_a_wall(valleys: list[Place], surfaces: list[cKDTree]) -> None:
     """Of straight flights over 10 m in parallel to a wall, fewer pass near it than in the middle of the valley."""
     for valley, surface in zip(valleys, surfaces, strict=True):
         beside, inside = (
@@ -160,7 +161,7 @@ def test_no_lane_leads_along_a_wall(valleys: list[Valley], surfaces: list[cKDTre
         assert beside < 0.25 and beside < 0.9 * inside
 
 
-def pass_share(valley: Valley, surface: cKDTree, offset: float) -> float:
+def pass_share(valley: Place, surface: cKDTree, offset: float) -> float:
     """Share of the 10 m long pieces of the lines at ``offset`` m from the border that keep 0.4 m to geometry."""
     passed = []
     for axis, side in ((0, -1), (0, 1), (1, -1), (1, 1)):

@@ -77,10 +77,9 @@ def test_most_rays_of_a_sparse_scene_are_culled() -> None:
     pole = box((0.0, 3.0, 0.0), (0.2, 0.2, 6.0))
     culler = Lidar([pole], None, LidarConfig(max_range=4.0))._culler
     assert culler is not None
-    grid = culler.candidates(ORIGIN, LEVEL)
-    assert grid.shape == (1, 1808, 16)
+    grid = culler.candidates(ORIGIN, LEVEL, [0]).reshape(1, 1808, 16)
     assert 0.01 < grid.mean() < 0.1
     left = 1808 * 3 // 4  # the sensor turns clockwise: it looks left after three quarters of the turn
     assert grid[0, left - 5 : left + 5].all()
-    assert not culler.candidates(np.array([[50.0, 0, 0]]), LEVEL).any()
-    assert culler.candidates(np.zeros((0, 3)), np.zeros((0, 3, 3))).shape == (0, 1808, 16)
+    assert not culler.candidates(np.array([[50.0, 0, 0]]), LEVEL, [0]).any()
+    assert culler.candidates(np.zeros((0, 3)), np.zeros((0, 3, 3)), []).shape == (0, 28928)

@@ -12,6 +12,7 @@ from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import World, WorldConfig
 from uavrl_onboard.mesh import Mesh
+from uavrl_onboard.vehicle import stopping_distance
 
 NO_DRAG = Aerodynamics(force_coefficients=(0.0, 0.0, 0.0), moment_coefficients=(0.0, 0.0, 0.0))
 QUAD = [[0, 1, 2], [0, 2, 3]]
@@ -48,6 +49,18 @@ def test_velocities_reverse_within_two_seconds():
             for _ in range(20):
                 simulation.step(commands)
         assert np.abs(seen(simulation) - grid).max() < 0.1
+
+
+@pytest.mark.parametrize("limit", [1.0, 4.0, 6.0])
+def test_no_component_of_a_velocity_exceeds_its_limit(limit: float) -> None:
+    with world(max_speed=limit) as simulation:
+        steps(simulation, 40, 9, 0, 0, 0)
+        assert simulation.velocity[0] == pytest.approx([limit, 0, 0], abs=0.05)
+        place = simulation.position[0, 0]
+        steps(simulation, 40, 0, 0, 0, 0)
+        assert simulation.position[0, 0] - place < stopping_distance(limit) + 0.3
+        steps(simulation, 20, 0, 0, 0, 9)
+        assert simulation.angular_velocity[0, 2] == pytest.approx(2.0, abs=0.05)
 
 
 def test_control_rate_does_not_change_the_path():

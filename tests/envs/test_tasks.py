@@ -15,9 +15,10 @@ from scipy.spatial import cKDTree
 
 from tests.helpers.geometry import bullet_world, point_triangle_distance
 from uavrl.envs.mesh import blob, icosphere
+from uavrl.envs.place import Place
 from uavrl.envs.tasks import FlightMap, FreeSpace, Task, flight_map, surface_points
 from uavrl.envs.terrain import HeightField
-from uavrl.envs.world import Valley, World, WorldConfig
+from uavrl.envs.world import World, WorldConfig
 from uavrl_onboard.mesh import Mesh, loft
 
 LEVEL, CEILING = 3.5, 5.0  # m
@@ -38,7 +39,7 @@ def tasks(world: World) -> list[Task]:
 
 @pytest.fixture(scope="module")
 def physics(world: World) -> Iterator[tuple[BulletClient, list[int]]]:
-    client, bodies = bullet_world(world.valleys[0].meshes())
+    client, bodies = bullet_world(world.places[0].meshes())
     yield client, bodies
     client.disconnect()
 
@@ -49,13 +50,13 @@ def test_tasks_keep_the_rules(world: World, tasks: list[Task]) -> None:
         assert task.start[2] == LEVEL
         assert np.linalg.norm((task.goal - task.start)[:2]) >= 10.0
         assert -np.pi <= task.yaw < np.pi
-        assert task.world_seed == world.config.seeds[task.valley]
+        assert task.world_seed == world.config.seeds[task.place]
         both = np.stack([task.start, task.goal])
-        assert not world.out_of_bounds(both, np.full(2, task.valley)).any()
+        assert not world.out_of_bounds(both, np.full(2, task.place)).any()
         assert task.goal[2] == pytest.approx(world.ground_height(task.goal[None, :2])[0] + CEILING / 2), "halfway up"
-    assert {task.valley for task in tasks} == {0, 1}
+    assert {task.place for task in tasks} == {0, 1}
     assert np.std([task.yaw for task in tasks]) > 1.0
-    starts = np.array([task.start[:2] - world.valleys[task.valley].origin for task in tasks])
+    starts = np.array([task.start[:2] - world.places[task.place].origin for task in tasks])
     assert (np.ptp(starts, axis=0) > (25, 18)).all()
 
 
@@ -63,12 +64,12 @@ def test_starts_and_goals_keep_their_clearance_at_flight_level_to_every_triangle
     world: World, tasks: list[Task]
 ) -> None:
     corners = []
-    for valley in world.valleys:
+    for valley in world.places:
         mesh = Mesh.merge(valley.meshes())
         corners.append(np.moveaxis(mesh.vertices[mesh.faces].astype(float), 1, 0))
     for task in tasks[:20]:
         for point in (task.start, task.goal):
-            assert point_triangle_distance(np.array([*point[:2], LEVEL]), *corners[task.valley]) >= 1.5
+            assert point_triangle_distance(np.array([*point[:2], LEVEL]), *corners[task.place]) >= 1.5
 
 
 def test_starts_keep_away_from_planes(world: World) -> None:
@@ -77,7 +78,7 @@ def test_starts_keep_away_from_planes(world: World) -> None:
     starts = np.array([world.sample_task(rng, 0, avoid=planes).start for _ in range(200)])
     apart = np.linalg.norm(starts[:, None, :2] - planes[:, :2], axis=-1)
     assert 6.0 <= apart.min() < 7.0
-    assert world.sample_task(rng, 1, avoid=np.zeros((0, 3))).valley == 1
+    assert world.sample_task(rng, 1, avoid=np.zeros((0, 3))).place == 1
     everywhere = np.stack(np.meshgrid(np.arange(-20.0, 21, 5), np.arange(-15.0, 16, 5), [3.5]), -1).reshape(-1, 3)
     with pytest.raises(ValueError, match="lower plane_keep_out"):
         world.sample_task(rng, 0, avoid=everywhere)
@@ -103,7 +104,7 @@ def test_flying_straight_at_the_goal_works_sometimes(seed: int) -> None:
 @pytest.mark.parametrize("obstacles", [90, 135])
 def test_dense_valleys_are_solvable(obstacles: int, seed: int) -> None:
     """Two and three times the default's obstacles: there are places, and room for flights in all directions."""
-    valley = World(WorldConfig(obstacles=obstacles, seeds=(seed,))).valleys[0]
+    valley = World(WorldConfig(obstacles=obstacles, seeds=(seed,))).places[0]
     assert len(valley.flight.candidates) > 100
     assert (np.ptp(valley.flight.candidates, axis=0) > (20.0, 12.0)).all()
 
@@ -145,10 +146,10 @@ def test_every_task_is_joined_by_a_way_that_a_ball_flies_in_the_physics(
 ) -> None:
     client, bodies = physics
     ball = client.createMultiBody(0, client.createCollisionShape(p.GEOM_SPHERE, radius=RADIUS - 1e-3))
-    here = [task for task in tasks if task.valley == 0][:12]
+    here = [task for task in tasks if task.place == 0][:12]
     ends = np.concatenate([[task.start[:2], task.goal[:2]] for task in here])
     flown = set()
-    for end, way in zip(ends[1:], way_through(world.valleys[0].flight, ends), strict=True):
+    for end, way in zip(ends[1:], way_through(world.places[0].flight, ends), strict=True):
         assert np.linalg.norm(way[0, :2] - end) <= 0.25  # the rest of the way is within the clearance of the end
         flown |= set(map(tuple, along(way, 0.1).round(6).tolist()))
     points = np.array(sorted(flown))
@@ -223,7 +224,7 @@ def test_flights_stay_under_the_ceiling_and_over_the_ground_also_where_nothing_s
 
 
 def test_map_bounds_the_clearance_from_below(world: World) -> None:
-    valley: Valley = world.valleys[0]
+    valley: Place = world.places[0]
     mesh = Mesh.merge([*valley.ground.tiles(), *(o.mesh for o in valley.obstacles)])
     corners = np.moveaxis(mesh.vertices[mesh.faces].astype(float), 1, 0)
     space = valley.flight.space

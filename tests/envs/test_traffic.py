@@ -65,8 +65,8 @@ def test_planes_stay_in_their_valley(world):
     traffic = Traffic(world, np.random.default_rng(0))
     path = traffic.advance(3000, DT)
     assert path.shape == (3000, 6, 4)
-    assert traffic.valleys.tolist() == [0, 0, 0, 1, 1, 1]
-    origins = np.array([world.valleys[v].origin for v in traffic.valleys])
+    assert traffic.places.tolist() == [0, 0, 0, 1, 1, 1]
+    origins = np.array([world.places[v].origin for v in traffic.places])
     assert (np.abs(path[..., :2] - origins) <= SIZE / 2 + 1e-9).all()
     assert path[..., 2].min() > 0.5 and 8.0 < path[..., 2].max() < 12.0
 
@@ -149,7 +149,7 @@ def test_all_planes_at_once_fly_where_each_leg_would(world):
         before = [leg.speed for leg in legs]
         alone = np.stack([leg.fly(steps, DT) for leg in legs], axis=1)
         entered += sum(leg.speed != speed for leg, speed in zip(legs, before, strict=True))
-        alone[..., :2] += np.array([world.valleys[valley].origin for valley in traffic.valleys])
+        alone[..., :2] += np.array([world.places[valley].origin for valley in traffic.places])
         together = traffic.advance(steps, DT)
         np.testing.assert_allclose(together[..., :3], alone[..., :3], rtol=0, atol=1e-9)
         np.testing.assert_allclose(np.exp(1j * together[..., 3]), np.exp(1j * alone[..., 3]), rtol=0, atol=1e-9)

@@ -8,9 +8,10 @@ from scipy.sparse.csgraph import dijkstra
 
 from tests.helpers.geometry import assert_closed, cast, embree
 from uavrl.config import compose, validate
+from uavrl.envs.place import Place
 from uavrl.envs.tasks import Task
 from uavrl.envs.traps import KINDS, LONGEST_WAY, PASSAGE, SIGHT, along, pocket, ways_at
-from uavrl.envs.world import Valley, World, WorldConfig
+from uavrl.envs.world import World, WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import named_policy
@@ -32,15 +33,15 @@ def tasks(world: World) -> list[Task]:
     return [world.sample_task(rng) for _ in range(60)]
 
 
-def in_valley(world: World, task: Task) -> tuple[Valley, np.ndarray, np.ndarray]:
-    valley = world.valleys[task.valley]
+def in_valley(world: World, task: Task) -> tuple[Place, np.ndarray, np.ndarray]:
+    valley = world.places[task.place]
     return valley, task.start[:2] - valley.origin, task.goal[:2] - valley.origin
 
 
 def test_without_traps_the_valley_is_that_of_before_there_were_any() -> None:
     """The geometry and the tasks that it had at commit 6ed3c95d."""
     world = World(WorldConfig(seeds=(200,)))
-    rng, merged = np.random.default_rng(0), Mesh.merge(world.valleys[0].meshes())
+    rng, merged = np.random.default_rng(0), Mesh.merge(world.places[0].meshes())
     drawn = np.array([np.concatenate([task.start, task.goal]) for task in (world.sample_task(rng) for _ in range(8))])
     assert merged.vertices.shape == (14538, 3) and merged.faces.sum() == 613037682
     assert merged.vertices.mean(0, dtype=np.float64) == pytest.approx([0.7785, 0.5374, 1.6646], abs=1e-3)
@@ -49,7 +50,7 @@ def test_without_traps_the_valley_is_that_of_before_there_were_any() -> None:
 
 
 def test_traps_of_all_kinds_stand_apart_and_inside(world: World) -> None:
-    for valley in world.valleys:
+    for valley in world.places:
         assert {trap.kind for trap in valley.traps} == {kind.__name__ for kind in KINDS}
         lines = [np.concatenate([along(line, 0.2) for line in trap.walls]) for trap in valley.traps]
         for i, one in enumerate(lines):
@@ -59,7 +60,7 @@ def test_traps_of_all_kinds_stand_apart_and_inside(world: World) -> None:
 
 
 def test_walls_are_closed_stand_in_the_ground_and_end_over_the_ceiling(world: World) -> None:
-    for valley in world.valleys:
+    for valley in world.places:
         walls = [obstacle for obstacle in valley.obstacles if obstacle.kind in {kind.__name__ for kind in KINDS}]
         assert len(walls) == 3 and len(valley.obstacles) == 15
         for obstacle in walls:

@@ -5,7 +5,7 @@ import pytest
 
 from tests.helpers.geometry import LIDAR_RANGE, bullet_world, cast, embree
 from uavrl.envs.terrain import valley_ground
-from uavrl.envs.world import World, WorldConfig, build_valley
+from uavrl.envs.world import World, WorldConfig, build_place
 
 CEILING = 5.0  # m above ground
 
@@ -26,24 +26,24 @@ def test_same_seed_same_world():
     for one, other in zip(first.meshes, second.meshes, strict=True):
         np.testing.assert_array_equal(one.vertices, other.vertices)
         np.testing.assert_array_equal(one.faces, other.faces)
-    other = World(WorldConfig(seeds=(8,))).valleys[0]
-    assert np.abs(first.valleys[0].ground.heights - other.ground.heights).max() > 0.3
+    other = World(WorldConfig(seeds=(8,))).places[0]
+    assert np.abs(first.places[0].ground.heights - other.ground.heights).max() > 0.3
 
 
 def test_building_ignores_and_keeps_the_global_random_state():
     np.random.seed(1)  # noqa: NPY002
     state = np.random.get_state()[1].copy()  # noqa: NPY002
-    build_valley(WorldConfig(), 0, np.zeros(2), 45)
+    build_place(WorldConfig(), 0, np.zeros(2))
     np.testing.assert_array_equal(state, np.random.get_state()[1])  # noqa: NPY002
 
 
 def test_valleys_are_out_of_each_others_lidar_range():
     world = World(WorldConfig(seeds=(0, 1, 2), obstacles=10))
     boxes = []
-    for valley in world.valleys:
+    for valley in world.places:
         vertices = np.concatenate([mesh.vertices for mesh in valley.meshes()])[:, :2]
         boxes.append((vertices.min(0), vertices.max(0)))
-    assert sum(len(valley.meshes()) for valley in world.valleys) == len(world.meshes)
+    assert sum(len(valley.meshes()) for valley in world.places) == len(world.meshes)
     for i in range(3):
         for j in range(i):
             gap = np.maximum(boxes[i][0] - boxes[j][1], boxes[j][0] - boxes[i][1])
@@ -51,7 +51,7 @@ def test_valleys_are_out_of_each_others_lidar_range():
 
 
 def test_scene_is_small_enough_for_physics_and_lidar(world):
-    assert sum(len(mesh.faces) for mesh in world.valleys[0].meshes()) < 40_000
+    assert sum(len(mesh.faces) for mesh in world.places[0].meshes()) < 40_000
     assert max(mesh.faces.size for mesh in world.meshes) <= 32_768  # indices per mesh, PyBullet's limit on macOS
     assert max(len(mesh.vertices) for mesh in world.meshes) <= 8_192
 
@@ -68,7 +68,7 @@ def test_floor_is_flat_enough_and_walls_tower_over_the_ceiling(seed):
 
 def test_ground_height_is_the_surface_that_rays_hit(world):
     rng = np.random.default_rng(0)
-    for valley in world.valleys:
+    for valley in world.places:
         xy = valley.origin + rng.uniform(-1, 1, (500, 2)) * (19.9, 14.9)
         scene = embree([tile.translated((*valley.origin, 0.0)) for tile in valley.ground.tiles()])
         down = cast(scene, np.column_stack([xy, np.full(500, 20.0)]), np.tile([0.0, 0.0, -1.0], (500, 1)))
@@ -80,7 +80,7 @@ def test_pybullet_and_embree_agree(world):
     rng = np.random.default_rng(3)
     count = 4000
     valley = rng.integers(2, size=count)
-    origins = np.array([v.origin for v in world.valleys])[valley] + rng.uniform(-1, 1, (count, 2)) * (17, 12)
+    origins = np.array([v.origin for v in world.places])[valley] + rng.uniform(-1, 1, (count, 2)) * (17, 12)
     origins = np.column_stack([origins, rng.uniform(1.0, 6.0, count)])
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -93,7 +93,7 @@ def test_pybullet_and_embree_agree(world):
 
 
 def test_out_of_bounds(world):
-    origin = world.valleys[1].origin
+    origin = world.places[1].origin
     ground = world.ground_height(origin[None])[0]
     heights = [(0, 0, 3.5), (0, 0, ground + 4.9), (0, 0, ground + 5.1)]
     edges = [(19.9, 0, 9), (20.1, 0, 9), (0, -15.1, 9), (0, 15.1, 9)]

@@ -32,7 +32,10 @@ IMPLAUSIBLE = 1e-3  # so seldom does chance alone bring fewer arrivals than are 
 CELLS = {"truncated_icosahedron": slice(-35, -3), "range_image": slice(-79, -7)}  # of a state, those of the last frame
 
 
-FILES = {"policy.json", "policy.safetensors", "config.yaml", "contract.json", "suite.json", "recorded.safetensors"}
+FILES = {"policy.json", "policy.safetensors", "config.yaml", "contract.json", "suite.json", "recorded.safetensors"} | {
+    "card.yaml",
+    "README.md",
+}
 
 
 def about(name: str, file: str = "policy.json") -> dict[str, Any]:

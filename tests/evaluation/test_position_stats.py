@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uavrl.envs.world import World, WorldConfig
-from uavrl.evaluation.position_stats import PositionStats, position_lines, summarize_places
+from uavrl.evaluation.position_stats import PositionStats, position_texts, summarize_places
 
 
 def test_percentiles_quarters_and_histogram_of_known_places() -> None:
@@ -36,7 +36,7 @@ def test_each_valley_has_walls_and_a_ground_of_its_own() -> None:
     world = World(WorldConfig(seeds=(3, 4), size=(26.0, 20.0), obstacles=0))
     ceiling = world.config.ceiling
     local = np.array([[12.0, 0.0], [-3.0, -8.5], [0.0, 0.0]])  # 1 m, 1.5 m and 10 m from the edge
-    for valley in world.valleys:
+    for valley in world.places:
         places = PositionStats(world)
         for share, xy in zip((0.1, 0.6, 0.9), local, strict=True):
             ground = valley.ground.at(xy[None])[0]
@@ -46,9 +46,10 @@ def test_each_valley_has_walls_and_a_ground_of_its_own() -> None:
         assert found["wall_distance"] == pytest.approx({"p5": 1.05, "p50": 1.5, "p95": 9.15})
 
 
-def test_lines_name_the_percentiles() -> None:
+def test_a_legend_is_beside_numbers_with_slashes() -> None:
     found = summarize_places(np.array([1.0, 3.0]), np.array([0.2, 0.6]), np.array([5.0, 7.0]))
-    altitude, wall, quarters = position_lines(found)
-    assert altitude.startswith("altitude, 5 / 50 / 95 %") and altitude.endswith("1.10 / 2.00 / 2.90")
-    assert wall.startswith("nearest wall") and wall.endswith("5.10 / 6.00 / 6.90")
-    assert quarters.endswith(" 50 / 0 / 50 / 0 %")
+    assert position_texts(found) == {
+        "altitude": "1.10 / 2.00 / 2.90 m (5th / 50th / 95th percentile)",
+        "distance to the nearest edge of the valley": "5.10 / 6.00 / 6.90 m (5th / 50th / 95th percentile)",
+        "share of time by height": "50 / 0 / 50 / 0 % (lowest / second / third / highest quarter)",
+    }

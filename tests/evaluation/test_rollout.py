@@ -207,18 +207,53 @@ def test_the_actions_of_each_task_are_measured_alone_and_within_their_limits() -
     assert result["yaw_reversals"] == pytest.approx(0.4)
 
 
+class SlowedEnv(StubEnv):
+    """A guard lets its vehicles fly forward at no more than 1 m/s."""
+
+    def __init__(self, lengths: list[int]) -> None:
+        super().__init__(lengths, 1)
+        self.observation_spec["flown_action"] = Unbounded((1, 4))
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDict:
+        return super()._reset(tensordict, **kwargs).set("flown_action", torch.zeros(1, 4))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        flown = tensordict["action"].clone()
+        flown[:, 0] = flown[:, 0].clamp(max=1.0)
+        return super()._step(tensordict).set("flown_action", flown)
+
+
+def test_how_often_guards_change_the_velocity_and_by_how_much() -> None:
+    """What is asked for beyond 2 m/s, and 0.04 m/s, are no changes by a guard."""
+    asked = iter([[9.0, 0.0, 0.0, 0.0], [1.04, 0.0, 0.0, 0.0], [1.5, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.0]])
+    flights = rollout_episodes(SlowedEnv([3, 1]), lambda state: state.set("action", torch.tensor([next(asked)])), 2)
+    assert flights[0].guard_share == pytest.approx(2 / 3) and flights[0].guard_change == pytest.approx(0.75)
+    assert flights[0].action_change == pytest.approx([0.0, 0.0, 0.0, 0.5]), "of what was flown"
+    assert (flights[1].guard_share, flights[1].guard_change) == (0.0, None)
+    result = summarize(flights)
+    assert result["guard_share"] == pytest.approx(0.5) and result["guard_change"] == pytest.approx(0.75)
+    assert "steps in which guards change the velocity       50.0 %, by 0.75 m/s on average" in table(result)
+    assert suite_table({"static": result}).split()[-1] == "50.0"
+    unguarded = summarize(flights_of(1, 0, 0))
+    assert "guard_share" not in unguarded and "guards" not in table(unguarded)
+
+
 def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> None:
     flights = [
         EpisodeResult(0, "arrived", 11, 0, 5.0, 10.0, 0.5, action_change=[0.21, 0.05, 0.02, 0.4], yaw_reversals=0.1)
     ]
     known, older = summarize(flights), summarize(flights_of(1, 0, 0))
-    assert table(known).splitlines()[-2:] == [
-        "mean change of the action per step              0.21 / 0.05 / 0.02 m/s, 0.40 rad/s",
+    assert table(known).splitlines()[-3:] == [
+        "mean change of the action per step              "
+        "0.21 / 0.05 / 0.02 m/s (forward / left / up), 0.40 rad/s (yaw rate)",
         "steps that reverse the yaw rate                 10.0 %",
+        "Success rate: 100.0 % (95 % CI 20.7–100.0 %, 1 task)",
     ]
     assert not {"action_change", "yaw_reversals"} & older.keys() and "yaw rate" not in table(older)
-    head, first, second = (line.split()[-2:] for line in suite_table({"static": known, "dense": older}).splitlines())
-    assert (first, second) == (["0.40", "10.0%"], ["–", "–"]) and head == ["change", "reversals"]
+    head, first, second = suite_table({"static": known, "dense": older}).splitlines()
+    assert first.split() == ["static", "100.0", "(20.7–100.0)", "0.0", "0.0", "11", "0.50", "0.40", "10.0", "–"]
+    assert second.split()[-3:] == ["–"] * 3
+    assert "success, % (95 % CI)" in head and len(head) == len(first) == len(second)
 
 
 def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
@@ -228,17 +263,27 @@ def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
 
 
 def test_flights_in_several_valleys_are_also_counted_valley_by_valley() -> None:
-    ends = {7: "aaac", 9: "accc", 10: "aacc"}
+    ends = {7: "aaac" * 3, 9: "accc", 10: "aacc"}
     flights = [
         EpisodeResult(0, {"a": "arrived", "c": "collided"}[end], 10, v, 5.0, 10.0, 0.5) for v in ends for end in ends[v]
     ]
     result = summarize(flights)
     rates = {valley: found["rate"] for valley, found in result["success_by_valley"].items()}
     assert rates == {"7": 0.75, "9": 0.25, "10": 0.5}
-    lines = [line for line in table(result).splitlines() if line.startswith("success in valley")]
-    assert [line.split()[3:5] for line in lines] == [["7", "75.0%"], ["9", "25.0%"], ["10", "50.0%"]]
-    assert lines[0].endswith("30.1% – 95.4%, 4 episodes")
-    assert "success_by_valley" not in summarize(flights[:4])
+    assert "success_by_valley" not in summarize(flights[:12])
+
+
+def test_only_valleys_with_ten_tasks_have_a_line_of_their_own() -> None:
+    ends = {7: "aaac" * 3, 8: "aaaacccccc", 9: "accc", 10: "aacc"}
+    flights = [
+        EpisodeResult(0, {"a": "arrived", "c": "collided"}[end], 10, v, 5.0, 10.0, 0.5) for v in ends for end in ends[v]
+    ]
+    assert [line for line in table(summarize(flights)).splitlines() if "valley" in line] == [
+        "success in valley 7                             75.0 % (95 % CI 46.8–91.1 %, 12 tasks)",
+        "success in valley 8                             40.0 % (95 % CI 16.8–68.7 %, 10 tasks)",
+        "valleys with fewer than ten tasks               2, whose rates are in the file",
+    ]
+    assert "ten tasks" not in table(summarize(flights[:22]))
 
 
 def test_no_flights_are_refused() -> None:
@@ -285,7 +330,9 @@ def test_the_valleys_asked_for_are_flown_and_two_evaluations_agree(
     went = results[0]["position_stats"]
     assert went["steps"] == sum(f["steps"] for f in results[0]["flights"])
     assert 3.3 < went["altitude"]["p5"] <= went["altitude"]["p95"] < 3.7, "it starts at 3.5 m and keeps that height"
-    assert "altitude, 5 / 50 / 95 %" in capfd.readouterr().out
+    told = capfd.readouterr().out
+    assert " m (5th / 50th / 95th percentile)\n" in told
+    assert told.count("Success rate: 0.0 % (95 % CI 0.0–39.0 %, 6 tasks)") == 2 and "Solved" not in told
 
 
 def test_an_environment_of_one_without_places_tells_its_returns() -> None:
@@ -297,6 +344,6 @@ def test_an_environment_of_one_without_places_tells_its_returns() -> None:
     assert [flight.episode_return for flight in flights] == pytest.approx([-3.0] * 3)
     result = summarize(flights)
     assert result["median_return"] == pytest.approx(-3.0)
-    assert "path_efficiency" not in result and "return, mean" in table(result)
+    assert "path_efficiency" not in result and "mean return" in table(result)
     assert result["action_change"] == pytest.approx([0.1, 0.02]) and "yaw_reversals" not in result
-    assert table(result).splitlines()[-1] == "mean change of the action per step              0.10 / 0.02"
+    assert table(result).splitlines()[-2] == "mean change of the action per step              0.10 / 0.02"

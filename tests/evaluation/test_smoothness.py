@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uavrl.evaluation.smoothness import action_change, smoothness_lines, summarize_smoothness, yaw_reversals
+from uavrl.evaluation.smoothness import action_change, smoothness_texts, summarize_smoothness, yaw_reversals
 
 
 def turning(*rates: float) -> np.ndarray:
@@ -43,4 +43,4 @@ def test_long_episodes_count_for_more_and_what_is_not_known_is_left_out() -> Non
     found = summarize_smoothness([11, 31, 1, 5], [[0.4, 2.0], [0.8, 0.0], None, None], [0.5, 0.1, None, None])
     assert found["action_change"] == pytest.approx([0.7, 0.5]) and found["yaw_reversals"] == pytest.approx(0.2)
     assert summarize_smoothness([5], [[1.0, 2.0]], [None]) == {"action_change": [1.0, 2.0]}
-    assert summarize_smoothness([5], [None], [None]) == {} and smoothness_lines(None, None) == []
+    assert summarize_smoothness([5], [None], [None]) == {} and smoothness_texts(None, None) == {}

@@ -19,7 +19,7 @@ from uavrl.config.settings import TrainConfig
 from uavrl.envs import NavigationEnv
 from uavrl.export.export import contract
 from uavrl_onboard.perception.cells import RangeGrid
-from uavrl_onboard.policy.contract import Cells
+from uavrl_onboard.policy.contract import Cells, Contract
 
 Values = dict[str, np.ndarray]
 
@@ -202,3 +202,20 @@ def test_it_says_what_else_a_program_needs() -> None:
 
 def test_what_is_not_of_the_valley_has_none() -> None:
     assert contract(validate(compose("perception=none")), "") is None
+
+
+def test_a_contract_names_the_sensor_and_the_speed_of_the_training() -> None:
+    slow, fast = (derived("preset=dagger", *told)[1] for told in ((), ("env.lidar=mid360", "env.max_speed=6")))
+    assert slow["cloud"]["lidar"]["name"] == "vlp16"
+    assert slow["cloud"]["lidar"]["field_of_view"] == [-180.0, 180.0, -15.0, 15.0]
+    assert slow["cloud"]["sensor"].startswith("one revolution of a Velodyne VLP-16")
+    assert slow["action"]["high"] == [2.0, 2.0, 2.0, 2.0]
+    assert fast["cloud"]["lidar"]["name"] == "mid360" and "mid360" in fast["cloud"]["sensor"]
+    assert fast["cloud"]["lidar"]["field_of_view"] == [-180.0, 180.0, -7.0, 52.0]
+    assert fast["action"]["high"] == [6.0, 6.0, 6.0, 2.0] and fast["action"]["low"] == [-6.0, -6.0, -6.0, -2.0]
+    assert fast["cells"]["radius"] == 6.0
+    last = next(entry for entry in fast["observation"] if entry["name"] == "last_action")
+    assert last["divisor"] == 6.0
+    terms = Contract.model_validate_json(json.dumps(fast))
+    assert terms.contradiction() is None
+    assert (terms.vehicle.velocity_limit, terms.vehicle.yaw_rate_limit) == (6.0, 2.0)

@@ -14,7 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
 from uavrl.config import compose, conf_dir
-from uavrl.config.yaml_files import register_run_name
+from uavrl.config.yaml_files import register_resolvers
 
 
 @cache
@@ -29,7 +29,7 @@ def composed(name: str = "config", *overrides: str) -> Any:
 
 def with_hydra(name: str, *overrides: str) -> Any:
     """The same with Hydra's own settings."""
-    register_run_name()
+    register_resolvers()
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         return hydra_compose(name, list(overrides), return_hydra_config=True)
 

@@ -17,7 +17,7 @@ from filelock import FileLock
 
 from tests.helpers.commands import in_process
 from uavrl.cli import train as train_command
-from uavrl.envs.world import Valley
+from uavrl.envs.place import Place
 from uavrl.runs.provenance import processor, versions
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,10 +63,10 @@ def finished_run(copy: Path, *overrides: str) -> Path:
     return Path(shutil.copytree(place / "run", copy))
 
 
-def built_valley(name: str, build: Callable[[], Valley]) -> Valley:
+def built_valley(name: str, build: Callable[[], Place]) -> Place:
     """A valley as it was built when it was first asked for by this name."""
     with _kept(name) as (place, there):
         if not there:
             (place / "valley").write_bytes(pickle.dumps(build()))
-        valley: Valley = pickle.loads((place / "valley").read_bytes())
+        valley: Place = pickle.loads((place / "valley").read_bytes())
     return valley

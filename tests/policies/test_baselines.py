@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import pytest
@@ -15,12 +16,13 @@ from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import BASELINES, named_policy
 from uavrl.planners.point_memory import Planner
-from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
+from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights, keep_headway
 from uavrl.policy_protocol import AdaptedPolicy
 from uavrl.transforms import NavigationState
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import REDUCTIONS
 from uavrl_onboard.perception.reductions import Reduction
+from uavrl_onboard.vehicle import DECELERATION, REACTION
 
 
 class Told:
@@ -116,6 +118,45 @@ def test_it_passes_an_obstacle_on_the_side_that_it_has_chosen(side: float) -> No
     assert left([0.5, 0.5 * side, 0.0]) * side < -0.5
 
 
+def test_with_headway_a_gap_bounds_the_speed_towards_it_and_free_air_bounds_nothing() -> None:
+    directions = REDUCTIONS["range_image"].directions()
+    ahead = directions[:, 0] > 0.9
+    costs = dataclasses.replace(COSTS["range_image", "proximity"], obstacle=0.0, caution=0.0, headway=0.7)
+
+    def forward(distance: float, last: float = 0.0, **told: bool) -> float:
+        cells = ((4.0 - distance) * ahead.float())[None]
+        state = {"faces": cells, "heading_deg": torch.zeros(1, 1), "altitude": torch.full((1, 1), 3.5)}
+        state |= {"observation": torch.tensor([[last, 0.0, 0.0, 0.0]])}
+        rule = VectorFieldHistogram(reduction="range_image", costs=costs, **told)  # type: ignore[arg-type]
+        action = rule(TensorDict(state, [1]))["action"][0, :3]
+        gap = distance - 0.35 - 0.12 - 0.3 * 2.0 * last * directions[ahead, 0]
+        assert bool((directions[ahead] @ action <= gap.clamp_min(0) / 0.7 + 1e-3).all()) or distance >= 2.5
+        return float(action[0])
+
+    assert forward(4.0) == forward(2.6) == pytest.approx(2.0)
+    assert forward(1.2) == pytest.approx(0.73 / 0.7, abs=0.05)
+    assert forward(1.2, last=1.0, last_action=True) == pytest.approx(0.13 / 0.7, abs=0.1)
+    assert forward(0.4) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_headway_needs_distances() -> None:
+    costs = dataclasses.replace(COSTS["truncated_icosahedron", "face"], headway=0.7)
+    with pytest.raises(UavrlError, match="headway reads distances from cells of statistic=proximity, and these are of"):
+        VectorFieldHistogram(costs=costs)
+
+
+def test_many_bounds_at_once_are_hardly_exceeded() -> None:
+    generator = torch.Generator().manual_seed(0)
+    towards = REDUCTIONS["range_image"].directions()
+    velocity = 4.0 * torch.rand(200, 3, generator=generator) - 2.0
+    speed = 3.0 * torch.rand(200, len(towards), generator=generator)
+    kept = keep_headway(velocity, towards, speed)
+    assert ((velocity @ towards.T - speed).amax(-1) > 0.5).float().mean() > 0.9
+    assert ((kept @ towards.T - speed).amax(-1) < 0.15).float().mean() > 0.95
+    free = torch.full_like(speed, torch.inf)
+    assert torch.equal(keep_headway(velocity, towards, free), velocity)
+
+
 @pytest.mark.parametrize("seen", COSTS)
 def test_policy_vfh_has_the_costs_of_what_it_sees(seen: tuple[Reduction, str]) -> None:
     reduction, statistic = seen
@@ -179,3 +220,18 @@ def test_the_rule_that_is_told_reads_what_moves() -> None:
     assert "moving_objects" not in VectorFieldHistogram().in_keys
     seen = {"reduction": "range_image", "statistic": "proximity", "motion": 12.0}
     assert "moving_objects" in named_policy("vfh", {**seen, "radius": 4.0, "flight_level": 3.5}, []).in_keys
+
+
+def test_the_rule_flies_as_fast_as_it_could_stop() -> None:
+    fast = VectorFieldHistogram(radius=6.0, reduction="range_image", max_speed=6.0)
+    faces = torch.zeros(72)
+    assert flown(fast, faces)[0] == pytest.approx(6.0, abs=0.05)  # 6 m of free space: it could stop after 5.1 m
+    faces[torch.arange(72) // 3 % 24 < 2] = 6.0 - 2.5  # something 2.5 m ahead and to the left
+    near = flown(fast, faces)
+    assert torch.tensor(near[:3]).norm() < 6.0
+    speeds = fast._fastest(faces[None])
+    assert isinstance(speeds, torch.Tensor)
+    ahead = (fast.directions @ torch.tensor([1.0, 0.0, 0.0])) > 0.99
+    stops = speeds[0, ahead] ** 2 / (2 * DECELERATION) + REACTION * speeds[0, ahead]
+    assert (stops <= 2.5 - 0.35).all() and (speeds[0, ahead] >= 2.0).all()
+    assert VectorFieldHistogram(reduction="range_image")._fastest(faces[None]) == 2.0

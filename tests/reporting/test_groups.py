@@ -2,10 +2,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.helpers.folders import run_folder
-from uavrl.reporting.groups import HOW_IT_RUNS, group_runs, label, same_task
+from uavrl.config import compose
+from uavrl.reporting.groups import HOW_IT_RUNS, group_runs, same_task
 from uavrl.reporting.runs import read_runs
 from uavrl.runs.config import FREE_KEYS
+from uavrl.runs.labels import label
 
 
 def labels(folder: Path) -> list[str]:
@@ -46,6 +50,23 @@ def test_a_part_of_somebody_elses_is_called_by_its_yaml() -> None:
         )
         == "PPO-mine, hover"
     )
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        (["preset=dagger"], "DAgger"),
+        (["preset=td3_bc", "algo.n_steps=1"], "TD3-BC"),
+        (
+            ["preset=td3_bc", "reward_preset=prize", "smoothness=none"],
+            "TD3-BC, smoothness=none, reward=navigation_prize",
+        ),
+        (["preset=thesis"], "TD3, TR"),
+        (["algo=sac", "fork=on"], "SAC-FORK, prize"),
+    ],
+)
+def test_a_preset_gives_its_name_and_what_differs_from_it_is_added(changes: list[str], expected: str) -> None:
+    assert label({str(key): str(choice) for key, choice in compose(*changes).choices.items()}) == expected
 
 
 def test_a_seed_counts_once_by_its_longest_run(tmp_path: Path) -> None:

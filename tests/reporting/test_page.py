@@ -78,24 +78,32 @@ def test_the_page_says_what_the_facts_say(runs: Path) -> None:
     text = Reader(html).text
     for expected in (
         "Mine & yours",
-        "TD3 + ABR⁺, Eq. 3.6 One seed: the spread between seeds is unknown. 1 (0)",
+        "TD3 + ABR⁺, Eq. 3.6 One seed: the spread between seeds is unknown. 50.0 %",
         "1 folder left out",
         "episodes.csv is missing",
         "Steps to 78 %",
         "82.4 %",
         "4 episodes, not 5,000",
-        "TD3, prize 2 (0, 1) 20 80.0 % 58.4–91.9 80.0–80.0",  # 16 of 20: z² = 3.841459
+        "TD3, prize 80.0 % 58.4–91.9 2 (0, 1) 20 80.0–80.0",  # 16 of 20: z² = 3.841459
         "80.0 % 49.0–94.3",
         "version not recorded",
         "“Unlike the thesis” compares the reward's name, LifeGuard's model and the number of episodes, and no other",
         "algo:",
     ):
         assert expected in text, expected
-    best, second = text.index("TD3, prize 2 (0, 1) 100.0 %"), text.index("TD3 + ABR⁺, Eq. 3.6 One seed")
+    best, second = text.index("TD3, prize 100.0 %"), text.index("TD3 + ABR⁺, Eq. 3.6 One seed")
     assert best < second < text.index("Learning curves"), "the answer comes first, and the best group"
     compared = html[html.index('id="thesis"') : html.index('id="settings"')]
     rows = re.findall(r'<tr><td class="l">(\w+)</td><td class="l">([^<]+)</td>', compared)
     assert set(rows) == {("td3", "ABR⁺")}, "of the thesis only the rows of the runs"
+
+
+def test_the_success_rate_comes_right_after_the_group_which_a_phone_shows(runs: Path) -> None:
+    text = page(make_report([runs]))
+    heads = re.findall(r"<thead><tr><th>Group</th><th[^>]*>([^<]*)</th>", text)
+    assert heads[:2] == ["Success in training", "Success"]
+    first = re.search(r'<td class="l">.*?</td>(<td class="n">[\d.]+ %<span class="ci">)', text, re.DOTALL)
+    assert first is not None
 
 
 def test_what_is_not_there_is_not_shown(tmp_path: Path) -> None:
@@ -163,8 +171,11 @@ def test_the_command_writes_page_and_facts(
     code, out, err = report(runs, window=2)
     assert code == 0
     told = out.splitlines()[-1]
-    assert told.startswith("Best: TD3, prize, success rate 100.0 % over the last episodes (")
-    assert told.endswith("Open report.html in a browser; report.json holds the facts.")
+    assert told == "Open report.html in a browser; report.json holds the facts."
+    *_, where, first, second, _ = out.splitlines()
+    assert where == "In evaluation in static, valleys 0, 10 tasks of seed 20000:"
+    assert first == "  TD3, prize  Success rate: 80.0 % (95 % CI 58.4–91.9 %, 20 tasks)"
+    assert second == "  Not evaluated there: TD3 + ABR⁺, Eq. 3.6"
     assert "uavrl: bad is left out. episodes.csv is missing" in err
     assert json.loads((tmp_path / "report.json").read_text())["window"] == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["report.html", "report.json", "runs"]
@@ -175,6 +186,23 @@ def test_the_command_writes_page_and_facts(
     for chosen in (f"{one[:-1]}?", [one]):
         assert report(chosen, output="one.html")[0] == 0
         assert one in json.loads((runs / "one.json").read_text())["runs"][0]["name"]
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "said"),
+    [
+        (("c" * 8, "c" * 7 + "a"), "No group is ahead: the intervals overlap."),
+        (("c" * 20, "a" * 20), "TD3, TR is ahead of all other groups: its interval lies above theirs."),
+    ],
+)
+def test_a_group_is_ahead_only_where_the_intervals_are_apart(
+    outcomes: tuple[str, str], said: str, tmp_path: Path, report: Callable[..., tuple[int, str, str]]
+) -> None:
+    for name, flown, reward in zip("ab", outcomes, ("navigation", "traditional"), strict=True):
+        run_folder(tmp_path / "runs" / name, flown, {"reward": reward})
+    code, out, _ = report(tmp_path / "runs", output=str(tmp_path / "report.html"))
+    assert code == 0 and said in out and "In the last training episodes, with exploration noise:" in out
+    assert f"<p>{said}</p>" in (tmp_path / "report.html").read_text()
 
 
 def test_the_command_ends_in_one_sentence(

@@ -177,3 +177,19 @@ def test_json_gives_back_the_facts_and_names_no_place_of_this_machine(tmp_path: 
     assert facts["evaluations"][0]["files"][0]["path_efficiency"] is None, "a number that is none"
     assert str(tmp_path) not in report.to_json()
     assert facts["runs"][0]["config"]["backward_reward"] == {"artifact": "artifact"}
+
+
+def test_the_steps_that_a_scripted_controller_flies_are_told_in_steps_and_episodes(tmp_path: Path) -> None:
+    flown = {"demonstrator___target_": "somebody.s", "algo__learning_starts": 45}
+    folders = [
+        run_folder(tmp_path / "shown0", "a" * 9, {"demonstrator": "vfh"}, seed=0, **flown),
+        run_folder(tmp_path / "shown1", "a" * 3, {"demonstrator": "vfh"}, seed=1, **flown),
+        run_folder(tmp_path / "alone", "c" * 9, algo__learning_starts=45),
+    ]
+    report = make_report(folders)
+    assert [group["demonstrated"] for group in report.groups] == [{"steps": 45, "episodes": 4}, None]
+    text = re.sub(r"\s+", " ", page(report))
+    assert f"In the grey band a scripted controller flies: the first 45 steps of {report.groups[0]['label']}." in text
+    bands = re.findall(r'"type":"rect","x0":0,"x1":(\d+)', text)
+    assert bands == ["45"] * 4 + ["4"] * 4, "one in each figure over steps, and one in each over episodes"
+    assert "grey band" not in page(make_report(folders[2:]))

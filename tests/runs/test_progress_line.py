@@ -8,6 +8,7 @@ import logging
 import pytest
 
 from uavrl.runs import progress_line
+from uavrl.runs.clock import start_clock
 from uavrl.runs.progress_line import ProgressLine
 
 log = logging.getLogger(__name__)
@@ -33,9 +34,9 @@ def test_a_file_gets_plain_lines_every_ten_seconds(capsys: pytest.CaptureFixture
             clock[0] += 0.25
             line.add()
     assert capsys.readouterr().err.splitlines() == [
-        "40/100 episodes | 00:10 gone, 00:15 left",
-        "80/100 episodes | 00:20 gone, 00:05 left",
-        "100/100 episodes | 00:25 gone",
+        "40/100 episodes | 00:10 elapsed, 00:15 left",
+        "80/100 episodes | 00:20 elapsed, 00:05 left",
+        "100/100 episodes | 00:25 elapsed",
     ]
 
 
@@ -44,7 +45,7 @@ def test_work_that_stops_says_how_far_it_was(capsys: pytest.CaptureFixture[str],
         clock[0] = 3.0
         line.set(300, "loss 0.5")
         raise KeyboardInterrupt
-    assert capsys.readouterr().err == "300/1,000 steps | 00:03 gone, loss 0.5\n"
+    assert capsys.readouterr().err == "300/1,000 steps | 00:03 elapsed, loss 0.5\n"
 
 
 @pytest.mark.parametrize("options", [{"enabled": False}, {"done": 10}])
@@ -96,4 +97,19 @@ def test_a_terminal_has_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
     with ProgressLine(2, "episodes") as line:
         line.add(2)
     drawn = written.getvalue().split("\r")
-    assert drawn[-1].startswith("2/2 episodes |") and drawn[-1].endswith("| 00:00 gone\n"), drawn
+    assert drawn[-1].startswith("2/2 episodes |") and drawn[-1].endswith("| 00:00 elapsed\n"), drawn
+
+
+def test_of_a_command_the_time_since_its_beginning_is_shown(
+    capsys: pytest.CaptureFixture[str], clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavrl.runs.clock._began", [])
+    start_clock()
+    clock[0] = 90.0
+    with ProgressLine(48, "valleys", verb="building") as line:
+        clock[0] = 102.0
+        line.add(3)
+    assert capsys.readouterr().err.splitlines() == [
+        "building valleys 0/48 | 01:30 elapsed",
+        "building valleys 3/48 | 01:42 elapsed, 03:00 left",
+    ]

@@ -91,7 +91,7 @@ def test_the_motion_is_from_the_valleys_origin_and_as_the_estimator_believes_it(
     env = make(1, world=replace(SMALL, seeds=(0, 1)), randomize=biased)
     episode = LiveEpisode(env, 1)
     simulation = env.simulation
-    valley = next(valley for valley in env.world.valleys if valley.seed == episode.world_seed)
+    valley = next(valley for valley in env.world.places if valley.seed == episode.world_seed)
     true = simulation.position[0] - np.append(valley.origin, 0.0)
     np.testing.assert_allclose(episode.motion.position, true + np.array([0.0, 0.0, 0.2]))
     assert episode.motion.yaw == pytest.approx(math.remainder(simulation.yaw[0] + 0.1, math.tau))

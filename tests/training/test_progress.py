@@ -36,7 +36,7 @@ def test_flights_are_expected_to_lengthen_to_half_of_the_longest(a_flight: float
 def test_random_flights_and_the_compilation_say_nothing_of_the_time_left(clock: Clock) -> None:
     line = Progress(1000, 200, learning_starts=500, max_steps=300)
     clock.now = 2.0  # quick: nothing is learned
-    assert "acting at random until step 500 | 400 steps | last 10: success 25.0%" in shown(line, 10, 400)
+    assert "acting at random until step 500 | 400 steps | last 10: success 25.0 %" in shown(line, 10, 400)
     clock.now = 60.0  # compiled
     assert "time left not known yet" in shown(line, 20, 600)
     clock.now = 61.0
@@ -51,7 +51,7 @@ def test_while_a_controller_flies_the_time_left_is_known(clock: Clock) -> None:
     for second in (1.0, 2.0, 6.0):  # the first update is compiled before the clock starts
         clock.now = second
         text = shown(line, int(second) + 1, 100 * int(second) + 100)
-    assert " gone, 00:23 left | 7 episodes, 100 steps/s" in text
+    assert " elapsed, 00:23 left | 7 episodes, 100 steps/s" in text
 
 
 def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
@@ -65,8 +65,8 @@ def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
 @pytest.mark.parametrize(
     ("limit", "left", "goal"),
     [
-        ({"until_success": 0.85}, ", at most 24:36 left | 1,500 steps, 100 steps/s", "success 25.0% of 85%"),
-        ({"last_step": 2500}, " gone, 00:10 left | 16 episodes, 100 steps/s", "success 25.0%, "),
+        ({"until_success": 0.85}, ", at most 24:36 left | 1,500 steps, 100 steps/s", "success 25.0 % of 85 %"),
+        ({"last_step": 2500}, " elapsed, 00:10 left | 16 episodes, 100 steps/s", "success 25.0 %, "),
     ],
 )
 def test_a_run_that_ends_before_its_episodes_says_so(

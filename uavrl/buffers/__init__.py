@@ -9,6 +9,7 @@ from uavrl.buffers.functional import backward_reward, multi_step_returns
 from uavrl.buffers.history import TrajectoryHistory
 from uavrl.buffers.multi_step import MultiStep
 from uavrl.buffers.replay import EpisodeBuffer, EpisodeFilter, PrioritizedBuffer
+from uavrl.buffers.sequences import Windows
 from uavrl.buffers.storage import FrameStorage, GatheringStorage
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "PrioritizedBuffer",
     "StateClassifier",
     "TrajectoryHistory",
+    "Windows",
     "backward_reward",
     "multi_step_returns",
 ]

@@ -36,6 +36,10 @@ class GatheringStorage(LazyTensorStorage):
             return super().get(index)
         return rows(self._storage, index.to(self.device))
 
+    def column(self, key: NestedKey) -> Tensor:
+        """One entry of all transitions, in the order of their places."""
+        return self._storage.get(key)[: len(self)]
+
 
 class FrameStorage(GatheringStorage):
     """Keeps each frame once, and gives back bit by bit the transitions that it was given.

@@ -1,10 +1,12 @@
 """The command line: one small file for each command."""
 
 import sys
+import time
 from types import TracebackType
 
 from uavrl.errors import MissingExtra, missing_extra
 
+BEGAN = time.monotonic()  # the first command of this process, before it imports what it needs
 _otherwise = sys.excepthook
 
 

@@ -16,13 +16,15 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from uavrl.cli import BEGAN
 from uavrl.cli.help import ABOUT, EXAMPLES, show
 from uavrl.cli.keys import check_choices, known_keys
 from uavrl.cli.logs import configure_logging
 from uavrl.config import conf_dir
 from uavrl.config.command_line import readable
-from uavrl.config.yaml_files import register_run_name, with_choices
+from uavrl.config.yaml_files import register_resolvers, with_choices
 from uavrl.errors import UavrlError
+from uavrl.runs.clock import start_clock
 from uavrl.runs.shared_memory import shared_memory_explained
 from uavrl_onboard.cli.command import SLIP, refuse_option
 from uavrl_onboard.cli.process import command_process, one_sentence
@@ -32,12 +34,13 @@ from uavrl_onboard.sentences import did_you_mean
 
 LAUNCHERS = ("joblib", "submitit_local", "submitit_slurm")  # those that uavrl[launchers] brings
 _ENDED_JOBS = {"BrokenProcessPool", "UncompletedJobError"}  # of joblib and of submitit, which need not be there
+_first = [BEGAN]  # further commands, of tests for instance, begin when they are called
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
 
 
 def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], None]]:
     """Makes a console command of a function that takes the configuration ``conf/NAME.yaml``, as overridden."""
-    register_run_name()
+    register_resolvers()
 
     def decorate(function: Callable[[DictConfig], Any]) -> Callable[[], None]:
         begun = False  # whether Hydra has handed over to the command itself
@@ -61,6 +64,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
         def main() -> None:
             nonlocal begun
             begun = False
+            start_clock(_first.pop() if _first else None)
             with command_process():
                 if show(name):
                     return

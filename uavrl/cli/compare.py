@@ -20,12 +20,12 @@ from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
 from uavrl.cli.command import explained
-from uavrl.cli.suite import begin_worker, refuse_worlds
+from uavrl.cli.suite import begin_worker, in_worlds_of, refuse_worlds
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.yaml_files import compose
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import require_policy
-from uavrl.runs.episodes import LETTERS, outcomes_of, wilson
+from uavrl.runs.episodes import LETTERS, outcomes_of, success_text, wilson
 from uavrl.runs.progress_line import ProgressLine
 from uavrl_onboard.cli.command import About, command
 from uavrl_onboard.cli.process import one_sentence
@@ -157,7 +157,7 @@ def _overrides(side: str, settings: CompareConfig) -> list[str]:
     else:
         require_policy(name)
         policy = f"policy={json.dumps(name, ensure_ascii=False)}"
-    return [policy, *rest, *_changes(settings.row), f"seed={settings.seed}", "progress=false"]
+    return [policy, *rest, *in_worlds_of(_changes(settings.row)), f"seed={settings.seed}", "progress=false"]
 
 
 def _checked(overrides: list[str]) -> list[str]:
@@ -262,9 +262,7 @@ def _sentences(settings: CompareConfig, comparison: Comparison, outcomes: dict[s
     lines = []
     for name in SIDES:
         rate = wilson(outcomes[name].count("S"), comparison.tasks)
-        shown = "{:.1f} % (95 % CI {:.1f}–{:.1f} %, {} tasks)"
-        values = [100 * rate[key] for key in ("rate", "low", "high")]
-        lines.append(f"{names[name]:<{width}}  success rate {shown.format(*values, comparison.tasks)}")
+        lines.append(f"{names[name]:<{width}}  {success_text(rate, comparison.tasks)}")
     certain = f"{100 * (1 - settings.error):g} %"
     lines.append(f"Difference: {points[0]} points ({certain} confidence sequence {points[1]} to {points[2]}).")
     if comparison.better is None:

@@ -1,6 +1,7 @@
 """``uavrl-evaluate``: rolls out the policy of a run, or a baseline, in fixed tasks."""
 
 import json
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -26,10 +27,12 @@ from uavrl.evaluation.policies import (
 )
 from uavrl.runs.provenance import processor, versions
 from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.pluralize import pluralize
 
 if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
+log = logging.getLogger(__name__)
 NOT_OF_A_REPLAY = (*PLAIN_KEYS, "policy", "num_uavs")  # named anew, or unknown to it
 
 
@@ -37,23 +40,36 @@ NOT_OF_A_REPLAY = (*PLAIN_KEYS, "policy", "num_uavs")  # named anew, or unknown 
 def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
     require_named(config)  # before all else: validating the environment loads torch
+    if config.get("progress") is True:
+        log.info("Loading %s ...", config.run or config.policy or "the policy")
     settings = validate(config, EvaluateConfig)
     if settings.suite is not None:
         evaluate_suite(settings, evaluate, given_overrides())
         return
     output = _output(settings, given_overrides())
     result = evaluate(config, given_overrides(), output)
-    from uavrl.evaluation.summary import reached, table
+    from uavrl.evaluation.summary import table
+    from uavrl.evaluation.worlds import worlds_text
 
-    print(table(result))
+    *details, success = table(result).splitlines()
+    about = [f"Policy: {_policy_text(result)}", f"Worlds: {worlds_text(result)}"]
+    print("\n".join([*details, *about, success]))
     who: dict[str, Any] = {"run": settings.run} if settings.run else {"policy": settings.policy}
     who |= {"packages": settings.packages} if settings.packages else {}
     watch = command_line(
         "uavrl-replay", *_own_folders(), *(override(key, each) for key, each in who.items()), *_typed()
     )
     report = command_line("uavrl-report", runs=settings.run)
-    then = f"Watch it fly: {watch}" if "valleys" in result else f"Its curves: {report}"
-    print(f"{reached(result)} Written to {output}. {then}")
+    then = f"Watch it fly: {watch}" if "planes" in result else f"Its curves: {report}"
+    print(f"Written to {output}. {then}")
+
+
+def _policy_text(result: dict[str, Any]) -> str:
+    """The policy of a result, for a person."""
+    known = [result["label"]] if "label" in result else [str(result.get("policy", ""))]
+    if isinstance(result.get("training_steps"), int):
+        known.append(f"{result['training_steps']:,} training steps")
+    return ", ".join(known) + (f" ({result['run']})" if "run" in result else "")
 
 
 def chosen_policy(settings: EvaluateConfig, config: DictConfig, overrides: list[str]) -> PolicySetup:
@@ -80,10 +96,12 @@ def environment_of(chosen: PolicySetup, settings: EvaluateConfig, told: dict[str
     told["env"] = chosen.choices.get("env", "")
     count = min(settings.num_uavs, settings.episodes)
     if "world" in chosen.env:
-        told["valleys"] = list(chosen.env.world.seeds)
+        if chosen.env.world.VARIES:
+            told["valleys"] = list(chosen.env.world.seeds)
         told["planes"] = chosen.env.world.planes
         told["num_uavs"] = count  # planes move with the steps of all
     context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": count}
+    context["tasks"] = range(settings.episodes)  # valleys that none of these needs are not built
     context |= chosen.env_options
     with matmul_backend(settings.matmul, settings.threads) as told["matmul"]:
         env = make_env(chosen.env, chosen.perception, measure_clearance=True, **context)
@@ -99,7 +117,8 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.evaluation.position_stats import PositionStats
     from uavrl.evaluation.rollout import rollout_episodes
-    from uavrl.evaluation.summary import summarize
+    from uavrl.evaluation.summary import summarize, with_difficulty
+    from uavrl.evaluation.worlds import worlds_text
 
     settings = validate(config, EvaluateConfig)
     chosen = chosen_policy(settings, config, overrides)
@@ -107,9 +126,14 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
     told: dict[str, Any] = {"seed": settings.seed, "env": "", "overrides": result_overrides(overrides)}
     told |= {"versions": versions(), "processor": processor()}
     with environment_of(chosen, settings, told) as env:
+        if settings.progress:
+            where = worlds_text({**told, **chosen.source})
+            log.info("Flying %s in %s.", pluralize(settings.episodes, "task"), where)
         places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
         watch = None if places is None else places.add
         flights = rollout_episodes(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
+        if isinstance(env.base_env, NavigationEnv):
+            flights = with_difficulty(flights, env.base_env.difficulty([flight.task for flight in flights]))
     result = summarize(flights) | ({} if places is None else {"position_stats": places.summary()})
     known = [{key: value for key, value in asdict(flight).items() if value is not None} for flight in flights]
     result = {**result, **told, **chosen.source, "flights": known}

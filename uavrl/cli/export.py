@@ -38,20 +38,21 @@ class ExportConfig:
 
 @command("export")
 def main(config: DictConfig) -> None:
-    """Writes weights, configuration and contract; evaluation and replay take the folder as ``run=``."""
+    """Writes weights, configuration, contract and model card; evaluation and replay take the folder as ``run=``."""
     settings = validate(config, ExportConfig)
     folder, output = policy_folder(settings.run, settings.policy), Path(str(settings.output))
     if folder is None:
         raise unknown_policy(str(settings.policy), packaged_policies(), "to export your own give run=RUN_FOLDER.")
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.export.export import export_policy
+    from uavrl.export.model_card import CARD
 
     guards = guard_settings(settings.guards, default_guards(folder))
     about = export_policy(folder, settings.checkpoint, output, settings.packages, guards=guards)
     steps = pluralize(about["training_steps"], "step") if "training_steps" in about else "its steps"
     then = command_line("uavrl-evaluate", run=output)
     terms = f"What another program needs to fly it: {output / CONTRACT}. " if (output / CONTRACT).is_file() else ""
-    print(f"The policy after {steps} is in {output}. {terms}Its success rate: {then}")
+    print(f"The policy after {steps} is in {output}. {terms}Its model card: {output / CARD}. Its success rate: {then}")
 
 
 if __name__ == "__main__":

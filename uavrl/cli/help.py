@@ -25,7 +25,12 @@ EXAMPLES = {
         "-m seed=0,1,2 algo.gamma=0.98,0.99",
         "resume=RUN_FOLDER",
     ],
-    "evaluate": ["policy=best env=static", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER suite=all"],
+    "evaluate": [
+        "policy=best",
+        "run=RUN_FOLDER episodes=100",
+        "run=RUN_FOLDER valleys=training",
+        "run=RUN_FOLDER suite=all",
+    ],
     "replay": ["policy=best tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
     "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],
@@ -111,6 +116,8 @@ def _known(main: Path, groups: dict[str, list[str]], chosen: dict[str, str]) -> 
             path = conf_dir() / group / f"{choice}.yaml"
             if "# @package" not in path.read_text(encoding="utf-8"):  # else its place is elsewhere
                 known |= {key.name: key for key in keys(path, f"{group}.") if key.name not in known}
+        for path in sorted((conf_dir() / group).glob("*/*.yaml")):  # what several choices share
+            known |= {key.name: key for key in keys(path, f"{group}.") if key.name not in known}
     return known
 
 

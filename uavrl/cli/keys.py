@@ -23,6 +23,9 @@ def known_keys(name: str, own: Sequence[Path] = ()) -> list[str]:
         for path in folder.glob("*/*.yaml"):
             if (group := path.parent.name) in groups:
                 keys |= {group, *(f"{_place(path)}.{key}" for key in _dotted(_of_group(path)))}
+        for path in folder.glob("*/*/*.yaml"):  # what several choices of a group share
+            if (group := path.parent.parent.name) in groups:
+                keys |= {f"{group}.{key}" for key in _dotted(_content(path))}
     return sorted(keys)
 
 

@@ -1,4 +1,4 @@
-"""``uavrl-replay``: rolls out a policy in a few tasks without noise and shows the flights in a page."""
+"""``uavrl-replay``: rolls out a policy in a few tasks without noise and shows them in a page or a video."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from uavrl.config.command_line import command_line
 from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import choose, output_name, policy_folder, require_named, result_overrides
+from uavrl.evaluation.worlds import UNSEEN
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.files import writable
 from uavrl_onboard.pluralize import pluralize
@@ -27,24 +28,26 @@ if TYPE_CHECKING:
 
 MOST_FLIGHTS = 50  # in one page
 LOG = ".mcap"  # the suffix of what uavrl-fly writes
+VIDEOS = (".mp4", ".gif")
 
 
 @dataclass
 class ReplayConfig(FlyingConfig):
-    """conf/replay.yaml: the flights of one page."""
+    """conf/replay.yaml: the episodes of one page, or of a video."""
 
     flight: Folder | None = None
     task: int | None = None
     tasks: tuple[int, ...] | None = None
     episodes: Count | None = None
     data: Folder | None = None
+    video: Folder | None = None
     points: Count = 1500
 
     def __post_init__(self) -> None:
         """Checks what belongs together."""
         super().__post_init__()
         keys = ("task", "tasks", "episodes", "valleys", "checkpoint")
-        given = [key for key in keys if getattr(self, key) is not None]
+        given = [key for key in keys if getattr(self, key) not in (None, UNSEEN)]
         chosen = [key for key in given if key in keys[:3]]
         require(len(chosen) <= 1, "The choice of tasks", "one of task, tasks and episodes", " and ".join(chosen))
         own = "the only choice, since the file brings its flights"
@@ -55,6 +58,12 @@ class ReplayConfig(FlyingConfig):
         require(distinct, "tasks", "a list of different numbers from 0", listed)
         few = len(self.task_numbers) <= MOST_FLIGHTS
         require(few, "The number of flights", f"at most {MOST_FLIGHTS} in one page", len(self.task_numbers))
+        known = self.video is None or Path(self.video).suffix in VIDEOS
+        require(known, "video", f"a file that ends in {' or '.join(VIDEOS)}", self.video)
+        if self.video is not None and len(self.task_numbers) > 1:
+            raise UavrlError(
+                f"A video shows one episode, and you asked for {len(self.task_numbers)}: choose one with task=NUMBER."
+            )
 
     @property
     def task_numbers(self) -> tuple[int, ...]:
@@ -63,10 +72,15 @@ class ReplayConfig(FlyingConfig):
             return tuple(self.tasks)
         return tuple(range(self.episodes)) if self.episodes is not None else (self.task or 0,)
 
+    @property
+    def makes_page(self) -> bool:
+        """Whether a page is written: always, unless a video is asked for and no page."""
+        return self.video is None or self.output is not None
+
 
 @command("replay")
 def main(config: DictConfig) -> None:
-    """Makes one page."""
+    """Makes one page or video."""
     require_named(config)  # before all else: validating the environment loads torch
     settings, overrides = validate(config, ReplayConfig), given_overrides()
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
@@ -77,17 +91,24 @@ def main(config: DictConfig) -> None:
         _show_log(settings, Path(settings.flight))
         return
     # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
-    from uavrl.evaluation.position_stats import position_lines
+    from uavrl.evaluation.interventions import intervention_texts
+    from uavrl.evaluation.position_stats import position_texts
     from uavrl.evaluation.recording import load_recording, save_recording
-    from uavrl.evaluation.smoothness import smoothness_lines
+    from uavrl.evaluation.smoothness import aligned, smoothness_texts
     from uavrl.runs.episodes import SAID
     from uavrl.training.matmul import matmul_backend
     from uavrl.viewer.flight_page import write_page
+    from uavrl.viewer.video import require_libraries, require_one_episode, write_video
     from uavrl_onboard.pages.assembly import needs_plotly
 
-    needs_plotly()
+    if settings.video is not None:
+        require_libraries(Path(settings.video))
+    if settings.makes_page:
+        needs_plotly()
     # All that can be wrong with the input is found before a folder is made or the first step.
     loaded = load_recording(Path(settings.flight)) if settings.flight else _prepared(settings, config, overrides)
+    if settings.video is not None and not callable(loaded):
+        require_one_episode(loaded)
     outputs = _outputs(settings, overrides)
     with matmul_backend(settings.matmul, settings.threads):
         shown = loaded() if callable(loaded) else loaded
@@ -97,14 +118,16 @@ def main(config: DictConfig) -> None:
         efficiency = summary.path_efficiency
         lengths = "" if efficiency is None else f"path efficiency {efficiency:.2f}, "
         print(f"task {summary.task}: {ended}, {lengths}minimum clearance {summary.clearance:.2f} m")
-        lines = [
-            *position_lines(flight.position_stats),
-            *smoothness_lines(summary.action_change, summary.yaw_reversals),
-        ]
-        print("\n".join(f"  {line}" for line in lines))
-    write_page(shown, outputs["output"])
-    if settings.data:
+        texts = position_texts(flight.position_stats)
+        texts |= smoothness_texts(summary.action_change, summary.yaw_reversals)
+        texts |= intervention_texts(summary.guard_share, summary.guard_change)
+        print("\n".join(f"  {line}" for line in aligned(texts.items())))
+    if "output" in outputs:
+        write_page(shown, outputs["output"])
+    if "data" in outputs:
         save_recording(shown, outputs["data"])
+    if "video" in outputs:
+        write_video(shown, outputs["video"], progress=settings.progress)
     for path in outputs.values():
         print(f"Written to {path}")
 
@@ -117,6 +140,9 @@ def _show_log(settings: ReplayConfig, log: Path) -> None:
     from uavrl_onboard.pages.assembly import needs_plotly
 
     require(settings.data is None, "data", "left out with a log, which holds the numbers itself", settings.data)
+    require(
+        settings.video is None, "video", "left out with a log, since a video shows a simulated valley", settings.video
+    )
     needs_plotly()
     data = logged_page_data(LoggedFlight(log), settings.points)
     output = writable(Path(settings.output or log.with_suffix(".html")), "output=FILE")
@@ -128,13 +154,13 @@ def _show_log(settings: ReplayConfig, log: Path) -> None:
 
 
 def _outputs(settings: ReplayConfig, overrides: list[str]) -> dict[str, Path]:
-    """Where page and data go, found writable before the first step."""
-    plain = ("run", "flight", "output", "data", "points", "device", "threads", "matmul", "progress")
+    """Where page, data and video go, found writable before the first step."""
+    plain = ("run", "flight", "output", "data", "video", "points", "device", "threads", "matmul", "progress")
     folder = Path(settings.run or (Path(settings.flight).parent if settings.flight else "."))
     name = output_name("replay", result_overrides(overrides, plain)) + ".html"
-    paths = {"output": Path(settings.output or folder / name)}
-    if settings.data:
-        paths["data"] = Path(settings.data)
+    paths = {"output": Path(settings.output or folder / name)} if settings.makes_page else {}
+    given = {"data": settings.data, "video": settings.video}
+    paths |= {key: Path(file) for key, file in given.items() if file is not None}
     return {key: writable(path, f"{key}=FILE") for key, path in paths.items()}
 
 

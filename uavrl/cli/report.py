@@ -8,6 +8,7 @@ from omegaconf import DictConfig
 
 from uavrl.cli.command import command
 from uavrl.config import validate
+from uavrl.runs.episodes import success_text
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.ranges import Count, Folder, Share
@@ -67,12 +68,12 @@ def main(config: DictConfig) -> None:
             partial.write_text(text, encoding="utf-8")
     groups = ", ".join(f"{group['label']} ({len(group['seeds'])})" for group in report.groups)
     print(f"{pluralize(len(report.runs), 'run')} in {pluralize(len(report.groups), 'group')} (seeds): {groups}")
-    best = report.groups[0]
-    rate, low, high = (f"{100 * best['last']['success'][name]:.1f}" for name in ("rate", "low", "high"))
-    print(
-        f"Best: {best['label']}, success rate {rate} % over the last episodes ({low}-{high} %). "
-        f"Open {output} in a browser; {facts} holds the facts."
-    )
+    where, unit, rows = report.rates()
+    print(f"In {where}:")
+    print("\n".join(f"  {label}  {success_text(rate, number, unit)}" for label, rate, number in rows))
+    if missing := [group["label"] for group in report.groups if group["label"] not in {row[0] for row in rows}]:
+        print(f"  Not evaluated there: {'; '.join(missing)}")
+    print(f"{report.verdict()} Open {output} in a browser; {facts} holds the facts.".lstrip())
 
 
 if __name__ == "__main__":

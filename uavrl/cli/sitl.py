@@ -63,6 +63,12 @@ class SitlConfig:
         require("world" in self.env, "env", "a valley", self.choices.get("env"))
         sensor = "one that reads a LiDAR, such as truncated_icosahedron: its perception.lidar is the vehicle's sensor"
         require(self.perception.get("_target_") is not None, "perception", sensor, self.choices.get("perception"))
+        name = self.perception.lidar.device.name
+        if name != "vlp16":
+            raise UavrlError(
+                f"uavrl-sitl sends the data packets of a Velodyne VLP-16, and env.lidar={name} has none: leave "
+                "env.lidar out."
+            )
 
 
 @command("sitl")
@@ -93,7 +99,8 @@ def _play(settings: SitlConfig, env: NavigationEnv, file: Path | None) -> Result
     told = _task(settings, episode)
     keys = ("firmware", "armed", "speed", "patience", "linger", "pilot_takes_over", "faults")
     options = {key: getattr(settings, key) for key in keys}
-    with closing(Sitl(episode, settings.lidar, settings.autopilot, max_steps=env.max_steps, **options)) as sitl:
+    options |= {"max_steps": env.max_steps, "max_speed": env.max_speed}
+    with closing(Sitl(episode, settings.lidar, settings.autopilot, **options)) as sitl:
         _write(file, told)
         _introduce(settings, told)
         try:

@@ -21,7 +21,8 @@ from uavrl.config import EvaluateConfig
 from uavrl.config.yaml_files import compose_again
 from uavrl.errors import UavrlError, was_interrupted
 from uavrl.evaluation.policies import file_of_policy, output_name, policy_folder, result_overrides
-from uavrl.runs.episodes import outcomes_of
+from uavrl.evaluation.worlds import TRAINING
+from uavrl.runs.episodes import outcomes_of, success_text
 from uavrl.runs.interrupts import interrupts_held_back
 from uavrl.runs.machine import processors
 from uavrl.runs.trust import check_links
@@ -39,7 +40,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     Each has a file of its own; one that is there already, of the same policy and tasks, is not made again.
     ``suite.json`` has these and all others of the policy that lie beside them.
     """
-    from uavrl.evaluation.summary import reached, scenarios, suite_table
+    from uavrl.evaluation.summary import scenarios, suite_table
 
     kept = result_overrides(overrides, OWN)
     refuse_worlds(kept, "suite")
@@ -65,7 +66,8 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
         partial.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
     print(suite_table(results))
     worst = min(results, key=lambda name: results[name]["success"]["rate"])
-    print(f"Hardest: {worst}. {reached(results[worst])} Written to {folder}")
+    hardest = success_text(results[worst]["success"], results[worst]["episodes"])
+    print(f"Hardest scenario: {worst}. {hardest}. Written to {folder}")
 
 
 def refuse_worlds(overrides: Sequence[str], chooser: str) -> None:
@@ -80,7 +82,12 @@ def _config(changes: list[str]) -> DictConfig:
     """What Hydra composes for one scenario of this command."""
     hydra = HydraConfig.get()
     own = [override for override in hydra.overrides.task if override.lstrip("+").split("=")[0] not in OWN]
-    return compose_again(*own, *changes, "progress=false", name=str(hydra.job.config_name))
+    return compose_again(*own, *in_worlds_of(changes), "progress=false", name=str(hydra.job.config_name))
+
+
+def in_worlds_of(row: Sequence[str]) -> list[str]:
+    """The overrides of an evaluation in a row of the suite: its environment has the valleys, unless the row has."""
+    return [f"valleys={TRAINING}", *row]
 
 
 def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]]) -> dict[str, Any]:

@@ -1,9 +1,12 @@
 """What became of a sweep's runs, in the process of its command, whichever process a launcher trained them in."""
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.singleton import Singleton
+from hydra.errors import HydraException
 
 from uavrl.errors import UavrlError
 
@@ -18,6 +21,7 @@ class _Known(metaclass=Singleton):
         # Of each run: its place in the sweep, and whether it has ended.
         self.by_place: dict[Path, tuple[int, bool]] = {}
         self.twice: set[Path] = set()  # runs of two combinations, each of which another process trained
+        self.swept: list[str] = []  # the keys with several values
 
 
 class Outcome:
@@ -42,6 +46,33 @@ def forget() -> None:
     """Begins a sweep."""
     _Known().by_place.clear()
     _Known().twice.clear()
+    _Known().swept.clear()
+
+
+def note_swept(overrides: Iterable[str]) -> None:
+    """Notes which keys of a command line have several values."""
+    _Known().swept += [key for key in map(_swept_key, overrides) if key is not None]
+
+
+def differences(overrides: Iterable[str], params: Mapping[str, Any]) -> dict[str, str]:
+    """The values of the keys that a sweep varies.
+
+    Args:
+        overrides: those of one combination.
+        params: the sweeper's own, which an experiment sets.
+    """
+    ours = {key for key in (_swept_key(f"{key}={value}") for key, value in params.items()) if key is not None}
+    values = dict(override.lstrip("+~").partition("=")[::2] for override in overrides)
+    return {key: value for key, value in values.items() if key in ours or key in _Known().swept}
+
+
+def _swept_key(override: str) -> str | None:
+    """The key of an override with several values, else None."""
+    try:
+        parsed = OverridesParser.create().parse_override(override)
+    except HydraException:  # a text, or an option
+        return None
+    return str(parsed.key_or_group) if parsed.is_sweep_override() else None
 
 
 def was_ended(run_dir: Path) -> bool:
@@ -58,7 +89,7 @@ def same_run(run_dir: Path) -> UavrlError:
     """What is said of two combinations that have one folder."""
     return UavrlError(
         f"Two combinations of the sweep have the same run folder {run_dir}, because their differences do not affect "
-        f"learning: give each its own run_dir."
+        f"learning, or are in no part of its name: give each its own run_dir."
     )
 
 

@@ -2,6 +2,7 @@
 
 import errno
 import logging
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,13 +19,14 @@ from uavrl.cli.logs import configure_logging
 from uavrl.cli.memory import require_memory
 from uavrl.config import TrainConfig, resolve, validate
 from uavrl.config.command_line import command_line
+from uavrl.config.validation import to_config
 from uavrl.errors import FolderTaken, Stopped, UavrlError
-from uavrl.runs.episodes import RATES
+from uavrl.runs.clock import start_clock
+from uavrl.runs.episodes import RATES, success_text, wilson
 from uavrl.runs.folders import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
 from uavrl_onboard.cli.process import one_sentence, sentence
 from uavrl_onboard.pluralize import pluralize
-from uavrl_onboard.values import to_plain
 
 log = logging.getLogger(__name__)
 LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes have ended
@@ -33,6 +35,7 @@ LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes
 def main() -> None:
     """Trains one run, or a sweep: several processes may share one, and each stays until all of its runs have ended."""
     sweep_runs.forget()
+    sweep_runs.note_swept(sys.argv[1:])
     _command()
     with one_sentence():
         sweep_runs.refuse_twice()
@@ -78,7 +81,7 @@ def _train(config: DictConfig) -> None:
     settings = validate(config)
     _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
-    config = OmegaConf.create(to_plain(settings))
+    config = to_config(settings)
     from uavrl.runs.lock import run_lock
     from uavrl.training.run import create_run, resume_config
 
@@ -120,6 +123,11 @@ def _check(settings: TrainConfig) -> None:
     from uavrl.training.loggers import require_login
 
     require_login(settings.logger, settings.packages)
+    lidar = settings.perception.get("lidar")
+    if lidar is not None and lidar.sensor != "vlp16":
+        from uavrl.evaluation.field_of_view import check_field_of_view
+
+        check_field_of_view(settings.perception, packages=settings.packages)
 
 
 def _check_machine(config: DictConfig) -> None:
@@ -134,6 +142,7 @@ def _check_machine(config: DictConfig) -> None:
 
 def _train_in_sweep(config: DictConfig) -> sweep_runs.Outcome:
     """Trains a combination, goes on with it, or leaves it alone where it is finished or another process trains it."""
+    start_clock()  # of this run
     _check(validate(config))
     if config.resume is not None:
         raise UavrlError(
@@ -142,13 +151,15 @@ def _train_in_sweep(config: DictConfig) -> sweep_runs.Outcome:
     from uavrl.runs.config import free_keys
     from uavrl.runs.lock import run_lock
     from uavrl.training.run import create_run, resume_config
-    from uavrl.training.sweep import is_begun, is_finished, run_folder
+    from uavrl.training.sweep import is_begun, is_finished, require_same_run, run_folder
 
-    run_dir = run_folder(config)
+    hydra = HydraConfig.get()
+    run_dir = run_folder(config, sweep_runs.differences(hydra.overrides.task, hydra.sweeper.get("params") or {}))
     config = resolve(config)
-    place = HydraConfig.get().job.num
+    place = hydra.job.num
     if sweep_runs.has_another_place(run_dir, place):
         raise sweep_runs.same_run(run_dir)
+    require_same_run(run_dir, config)
     if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):
         if not sweep_runs.was_ended(run_dir):  # else it was told before this process waited for others
             print(f"Finished: {run_dir}")
@@ -175,9 +186,10 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
         print(f"Resuming {run_dir}" if resume else f"Run folder: {run_dir}", flush=True)
 
     summary = train(config, run_dir, resume=resume, begun=tell)
-    rates = ", ".join(f"{key.replace('_', '-')} {summary['rates'][name]:.0%}" for key, name in RATES.items())
-    done = f"{pluralize(summary['episodes'], 'episode')}, {pluralize(summary['steps'], 'step')}"
-    print(f"{done}; over the last ones {rates}.")
+    last = min(summary["episodes"], config.trainer.window)
+    rate = wilson(round(summary["rates"][RATES["success"]] * last), last)
+    print(f"Trained for {pluralize(summary['episodes'], 'episode')}, {pluralize(summary['steps'], 'step')}.")
+    print(success_text(rate, last, "training episode"))
     watch = f"; watch it: {command_line('uavrl-replay', run=run_dir)}" if "world" in config.env else ""
     print(f"Evaluate it: {command_line('uavrl-evaluate', run=run_dir)}{watch}")
 

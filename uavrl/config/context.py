@@ -12,9 +12,10 @@ _NETWORK = ("observations", "actions", "limit", "stacked")
 _PENALTY = ("base", "gamma", *_NETWORK)
 # By the part's name; what each name means stands in docs/own_parts.md.
 CONTEXT: Mapping[str, tuple[str, ...]] = {
-    "env": ("seed", "measure_clearance", "tasks"),
+    "env": ("seed", "measure_clearance", "privileged", "tasks"),
     "perception": ("sensor_position",),
     "algo": ("actor_network", "qvalue_network", "num_qvalue_nets", "value_network", "action_spec"),
+    "recurrent": ("observations",),
     "fork": _PENALTY,
     "lifeguard": _PENALTY,
     "actor_penalty": _PENALTY,

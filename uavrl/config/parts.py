@@ -1,14 +1,15 @@
 """The parts of a run: each names its class, and holds what its constructor takes."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import Annotated, Any
+from dataclasses import is_dataclass
+from typing import Annotated, Any, get_args
 
 from pydantic import Field
 
 from uavrl.config.build import TARGET, arguments, find_class, is_part, require_allowed
 from uavrl.config.context import CONTEXT, context_of, refuse_context
 from uavrl.errors import UavrlError
-from uavrl_onboard.ranges import Count, NonNegative, Rule, Whole, Widths
+from uavrl_onboard.ranges import Count, NonNegative, Rule, Text, Whole, Widths
 from uavrl_onboard.sentences import require, require_known
 from uavrl_onboard.values import validated
 
@@ -16,6 +17,7 @@ PARTS = (
     "perception",
     "reward",
     "algo",
+    "recurrent",
     "fork",
     "lifeguard",
     "actor_penalty",
@@ -38,8 +40,11 @@ LOOP: Mapping[str, Mapping[str, Any]] = {
         "exploration_spread": Annotated[float, Field(ge=1, le=1e6)],
         "hidden": Widths,
         "layer_norm": bool,
+        "critic_reads": Annotated[
+            tuple[Text, ...], Rule("different names", lambda names: len(set(names)) == len(names))
+        ],
         "n_steps": Annotated[int, Field(ge=1, le=10_000)],
-        "actor": _NETWORK,
+        "actor": Annotated[Any, Rule(f"a part with a {TARGET}; recurrent=gru gives it a memory", lambda value: False)],
         "critic": _NETWORK,
     },
     "buffer": {"mirror": bool},
@@ -72,11 +77,23 @@ class Part(dict[str, Any]):
 
 def validated_parts(parts: Mapping[str, Any], packages: Iterable[str]) -> dict[str, Part]:
     """The parts of a run with every value as its class has it, found to be known, of its type and in its range."""
-    packages = tuple(packages)
+    packages, parts = tuple(packages), _with_sensor(parts)
     for key, target in _targets(parts, ""):  # all of them, before anything is imported
         require_allowed(target, packages, key)
     extra = _extra_keys(parts, packages)
     return {name: _validated(part, name, packages, extra.get(name, {})) for name, part in parts.items()}
+
+
+def _with_sensor(parts: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The parts with the sensor that ``env.lidar`` names, in ``perception.lidar``, which says how it is scanned."""
+    env, perception = parts.get("env"), parts.get("perception")
+    if not isinstance(env, Mapping) or "lidar" not in env or not isinstance(perception, Mapping):
+        return parts
+    if not isinstance(scanned := perception.get("lidar"), Mapping):
+        return parts
+    kept = {key: value for key, value in env.items() if key != "lidar"}
+    named = {} if env["lidar"] is None else {"sensor": env["lidar"]}
+    return {**parts, "env": kept, "perception": {**perception, "lidar": {**scanned, **named}}}
 
 
 def _targets(node: Mapping[str, Any], above: str) -> Iterator[tuple[str, str]]:
@@ -127,5 +144,24 @@ def _validated(part: Any, key: str, packages: tuple[str, ...], extra: Mapping[st
     inner = {name: value for name, value in values.items() if is_part(value)}
     others = {name: value for name, value in values.items() if name not in inner}
     found = validated(others, {**extra, **hints}, key)
-    found |= {name: _validated(value, f"{key}.{name}", packages, {}) for name, value in inner.items()}
+    for name, value in inner.items():
+        kind, place = _settings_of(hints.get(name)), f"{key}.{name}"
+        if kind is None:
+            found[name] = _validated(value, place, packages, {})
+        else:
+            found[name] = _validated_settings(value, kind, place, packages)
     return Part({TARGET: part[TARGET], **{name: found[name] for name in values}})
+
+
+def _settings_of(hint: Any) -> type | None:
+    """The base of the settings class that a type is, or that it may be; None for any other."""
+    kind = next((each for each in (hint, *get_args(hint)) if is_dataclass(each) and isinstance(each, type)), None)
+    return None if kind is None else [each for each in kind.__mro__ if is_dataclass(each)][-1]
+
+
+def _validated_settings(part: Mapping[str, Any], kind: type, key: str, packages: tuple[str, ...]) -> Any:
+    """The settings that a part names by their class, which derives from ``kind``."""
+    made: type = find_class(str(part[TARGET]), kind, packages, f"{key}.{TARGET}")
+    values = {name: value for name, value in part.items() if name != TARGET}
+    parent, _, name = key.rpartition(".")
+    return validated({name: values}, {name: made}, parent)[name]

@@ -18,6 +18,15 @@ Valleys = Annotated[
 ]
 
 
+FlownValleys = Annotated[
+    Literal["unseen", "training"] | tuple[int, ...],
+    Rule(
+        "unseen, training or a list of seeds from 0",
+        lambda given: isinstance(given, str) or min(given, default=-1) >= 0,
+    ),
+]
+
+
 @dataclass
 class TrainerConfig:
     """conf/trainer."""
@@ -59,6 +68,7 @@ class TrainConfig:
     demonstrator: Part = field(default_factory=lambda: Part(_target_=None))
     smoothness: Part = field(default_factory=lambda: Part(_target_=None))
     cloning: Part = field(default_factory=lambda: Part(_target_=None))
+    recurrent: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[Text, ...] = ()
     seed: Seed = 0
@@ -90,8 +100,9 @@ class FlyingConfig:
     policy: str | None = None
     checkpoint: Folder | None = None
     seed: Seed = 20_000
-    valleys: Valleys | None = None
+    valleys: FlownValleys = "unseen"
     guards: Any = None
+    allow_unseen: bool = False
     output: Folder | None = None
     device: str = "cpu"
     threads: Threads = 1

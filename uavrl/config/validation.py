@@ -6,6 +6,7 @@ from typing import Any, TypeVar, cast, get_type_hints, overload
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
+from uavrl.config.build import TARGET
 from uavrl.config.parts import PARTS, validated_parts
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
@@ -42,7 +43,17 @@ def validate(config: DictConfig, kind: type[Any] = TrainConfig) -> Any:
 
 def resolve(config: DictConfig) -> DictConfig:
     """The same configuration with every value worked out, and as its class has it: what ``config.yaml`` holds."""
-    return OmegaConf.create(to_plain(validate(config)))
+    return to_config(validate(config))
+
+
+def to_config(settings: Any) -> DictConfig:
+    """The configuration that :func:`validate` would read these settings from."""
+    plain = to_plain(settings)
+    for name in PARTS:
+        for key, value in (getattr(settings, name, None) or {}).items():
+            if getattr(value, "NAMED", False):  # settings whose class a file has to name
+                plain[name][key] = {TARGET: f"{type(value).__module__}.{type(value).__qualname__}", **plain[name][key]}
+    return OmegaConf.create(plain)
 
 
 def _plain_values(config: DictConfig) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +11,9 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from uavrl.config.command_line import readable
 from uavrl.errors import UavrlError, extras
 from uavrl_onboard.guards.command_line import join_guards
+from uavrl_onboard.vehicle import VEHICLE, stopping_distance
 
+_AHEAD = 0.5  # m, seen beyond the place where a vehicle would stand
 NONE = "none"  # the choice that leaves a part out
 
 
@@ -23,9 +26,27 @@ def conf_dir() -> Path:
     raise UavrlError(f"Expected the yaml files in {package / 'conf'} and found none: install uavrl again.")
 
 
-def register_run_name() -> None:
-    """Teaches OmegaConf what ``${uavrl_run_name:}`` is in our yaml files: environment, what learns, reward."""
+def sight_for(max_speed: Any) -> float:
+    """Return how far the cells reach at a speed in m/s, in m: 4 (Table 4.1), or as far as a vehicle needs to stop.
+
+    Examples:
+        >>> [sight_for(speed) for speed in (2.0, 4.0, 5.0, 6.0)]
+        [4.0, 4.0, 5.0, 6.0]
+    """
+    if not isinstance(max_speed, int | float) or not 0 < max_speed < 100:
+        return 4.0  # env.max_speed is refused elsewhere
+    needed = stopping_distance(max_speed) + VEHICLE.radius + _AHEAD
+    return max(4.0, math.ceil(2 * needed) / 2)
+
+
+def register_resolvers() -> None:
+    """Teaches OmegaConf the resolvers of our yaml files.
+
+    ``${uavrl_run_name:}`` is made of environment, what learns, and reward; ``${uavrl_sight:SPEED}`` is
+    :func:`sight_for`.
+    """
     OmegaConf.register_new_resolver("uavrl_run_name", _run_name, replace=True)
+    OmegaConf.register_new_resolver("uavrl_sight", sight_for, replace=True)
 
 
 def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> DictConfig:
@@ -43,7 +64,7 @@ def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> 
     with extras():  # imported where it is needed: a packaged policy loads without Hydra
         from hydra import initialize_config_dir
 
-    register_run_name()
+    register_resolvers()
     if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
         overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
     with _hydra_of_our_own(), initialize_config_dir(str(conf_dir()), version_base="1.3"):
@@ -92,8 +113,11 @@ def learner_name(choices: Mapping[str, str]) -> str:
     Examples:
         >>> learner_name({"algo": "ddpg", "lifeguard": "linear", "backward_reward": "abr_plus"})
         'ddpg_lg_abr_plus'
+        >>> learner_name({"algo": "td3", "recurrent": "gru"})
+        'td3_gru'
     """
     usual = {
+        "recurrent": ("", ""),
         "fork": ("fork", "on"),
         "lifeguard": ("lg", "linear"),
         "actor_penalty": ("", ""),

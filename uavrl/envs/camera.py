@@ -1,4 +1,4 @@
-"""Pictures of the valley from behind a vehicle, drawn by PyBullet."""
+"""Pictures of the world from behind a vehicle, drawn by PyBullet."""
 
 import weakref
 from typing import Any
@@ -30,11 +30,12 @@ class Camera:
         self._env = env
         self._at: dict[str, Any] = {"physicsClientId": client}
         config, airframe = env.world.config, env.airframe
-        for valley in env.world.valleys:
-            obstacles = Mesh.merge(obstacle.mesh for obstacle in valley.obstacles).split()
-            for parts, colour in ((valley.ground.tiles(), TERRAIN), (obstacles, OBSTACLE)):
+        for place in env.world.places:
+            obstacles = Mesh.merge(obstacle.mesh for obstacle in place.obstacles).split()
+            ground = [] if place.ground is None else place.ground.tiles()
+            for parts, colour in ((ground, TERRAIN), (obstacles, OBSTACLE)):
                 for part in parts:
-                    self._mesh(part.translated((*valley.origin, 0.0)), colour)
+                    self._mesh(part.translated((*place.origin, 0.0)), colour)
         self._planes = [self._mesh(env.plane_mesh, PLANE) for _ in env.plane_poses()]
         self._goal = self._cylinder(config.goal_radius, config.ceiling, GOAL)
         self._uav = self._cylinder(airframe.collision_radius, airframe.collision_height, UAV)

@@ -1,5 +1,6 @@
 """The navigation task as a Gymnasium environment with pictures, for users of other RL libraries."""
 
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -9,15 +10,15 @@ from torchrl.envs import Compose, TransformedEnv
 
 from uavrl.envs.camera import Camera
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.limits import OrMapping, settings, whole
+from uavrl.envs.limits import OrMapping, require_speed, whole
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
-from uavrl.envs.world import WorldConfig
+from uavrl.envs.world import WorldLike, world_rules
 from uavrl.errors import UavrlError, extras
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
 from uavrl.transforms.guarded import GOAL_HEADING, Guarded
-from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.perception.reductions import Reduction
+from uavrl_onboard.vehicle import VEHICLE
 
 with extras():
     import gymnasium
@@ -46,7 +47,7 @@ class ValleyFlights:
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
         lidar: OrMapping[LidarConfig] | None = None,
-        world: OrMapping[WorldConfig] | None = None,
+        world: WorldLike | None = None,
         guards: Any = "none",
         render_mode: str | None = None,
         **kwargs: Any,
@@ -60,23 +61,30 @@ class ValleyFlights:
                 "which shows its episodes in a page."
             )
         self.render_mode = render_mode
-        valley = settings("world", WorldConfig, world)
+        valley = world_rules(world)
         state = NavigationState(
-            radius, flight_level=valley.flight_level, frames=frames, reduction=reduction, last_action=last_action
+            radius,
+            flight_level=valley.flight_level,
+            frames=frames,
+            reduction=reduction,
+            last_action=last_action,
+            max_speed=require_speed(kwargs.get("max_speed", VEHICLE.velocity_limit)),
         )
         lidar = LidarConfig(max_range=radius, far_range=chosen.sight) if lidar is None else lidar
         self.base = NavigationEnv(num_envs, world=valley, lidar=lidar, **kwargs)
         self.env = TransformedEnv(self.base, Compose())
         heading = {}
         if chosen.names:
-            vehicle = self.base.airframe.vehicle(valley.flight_level)
+            vehicle = self.base.airframe.vehicle(valley.flight_level, self.base.max_speed)
+            view = self.base.lidar_sensor.field_of_view[2:]
+            vehicle = replace(vehicle, lidar_elevations=view)
             self.env.append_transform(guarded := Guarded(chosen, vehicle=vehicle))
             heading = {"heading": GOAL_HEADING} if guarded.leads and reward == "navigation" else {}
         self.env.append_transform(state)
         self.env.append_transform(_REWARDS[reward](**heading))
         width = self.env.observation_spec["observation"].shape[-1]
         self.observation_space = Box(-np.inf, np.inf, (width,), np.float32)
-        self.action_space = Box(-ACTION_LIMIT, ACTION_LIMIT, (4,), np.float32)
+        self.action_space = Box(-self.base.max_speed, self.base.max_speed, (4,), np.float32)
         self._state: TensorDictBase | None = None
         self._camera: Camera | None = None
 

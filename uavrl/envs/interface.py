@@ -1,18 +1,22 @@
 """What the environment takes and emits: actions, and keys with their shapes and types."""
 
+from collections.abc import Collection
+
 import numpy as np
 import torch
 from torchrl.data import Binary, Composite, Unbounded
 
+from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.simulation import Simulation
 from uavrl.errors import UavrlError
 from uavrl_onboard.geometry import attitude_of
-from uavrl_onboard.lidar.vlp16 import NUM_RAYS
 from uavrl_onboard.perception.goal import goal_distance, goal_elevation_deg, goal_heading_deg
 
 
-def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[Composite, Composite]:
-    """The specs of the observations and of the ends of ``n`` vehicles."""
+def navigation_specs(
+    n: int, rays: int, device: torch.device, *, clearance: bool, privileged: Collection[str] = ()
+) -> tuple[Composite, Composite]:
+    """The specs of the observations and of the ends of ``n`` vehicles, whose LiDARs have ``rays``."""
 
     def numbers(*shape: int, dtype: torch.dtype = torch.float32) -> Unbounded:
         return Unbounded(shape=(n, *shape), dtype=dtype, device=device)
@@ -21,12 +25,13 @@ def navigation_specs(n: int, device: torch.device, *, clearance: bool) -> tuple[
         return {key: Binary(n=1, shape=(n, 1), dtype=torch.bool, device=device) for key in keys}
 
     observations = {
-        "point_cloud": numbers(NUM_RAYS, 3),
+        "point_cloud": numbers(rays, 3),
         **{key: numbers(1) for key in ("altitude", "heading_deg", "elevation_deg", "distance")},
         **{key: numbers(3) for key in ("position", "velocity", "attitude", "goal")},
         **flags("arrived", "collided"),
         **{key: numbers(1, dtype=torch.int64) for key in ("world_seed", "task")},
         **({"clearance": numbers(1)} if clearance else {}),
+        **{key: numbers(len(QUANTITIES[key].signs)) for key in privileged},
     }
     ends = Composite(flags("done", "terminated", "truncated"), shape=(n,), device=device)
     return Composite(observations, shape=(n,), device=device), ends

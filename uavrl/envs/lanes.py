@@ -95,7 +95,7 @@ def plan_lanes(
     if not found:
         raise UavrlError(
             f"Planes need a straight way of {LEVEL_SHARE * max(size):.1f} m through the valley with {radius:.2f} m to "
-            "both sides, and there is none; lower plane_wingspan, obstacles or obstacle_scale."
+            "both sides, and there is none; lower plane_wingspan, or how much stands there."
         )
     return found
 

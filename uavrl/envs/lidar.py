@@ -1,11 +1,11 @@
-"""The Velodyne VLP-16, cast on Embree (Chansuparp (2022), section 3.1)."""
+"""A LiDAR, cast on Embree; by default the Velodyne VLP-16 (Chansuparp (2022), section 3.1)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -13,25 +13,18 @@ from pydantic import Field
 from uavrl.envs.lidar_flaws import add_noise, hide_sector
 from uavrl.envs.limits import OrMapping, require_finite, settings
 from uavrl.envs.ray_culling import RayCuller
+from uavrl.envs.sensors import LidarSensor, lidar_sensor, sensor_settings
 from uavrl.envs.vehicle_params import VehicleParams
-from uavrl.errors import extras
+from uavrl.errors import UavrlError, extras
 from uavrl_onboard.geometry import turn_about, yaw_rotation
-from uavrl_onboard.lidar.vlp16 import (
-    AZIMUTH_STEP,
-    AZIMUTH_STEPS,
-    FIRING_TIMES,
-    LASER_ELEVATIONS,
-    NUM_RAYS,
-    firing_directions,
-)
 from uavrl_onboard.mesh import Mesh
-from uavrl_onboard.perception.cells import FAR_EVERY
+from uavrl_onboard.perception.motion.rays import far_ray_indices
 
 with extras():
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
-__all__ = ["NUM_RAYS", "Lidar", "LidarConfig"]
+__all__ = ["Lidar", "LidarConfig"]
 
 LARGEST_RANGE = 1e6  # m
 _CULLED_RANGE = 10.0  # m: up to this range, rays that pass no triangle in range are not cast
@@ -39,17 +32,21 @@ _CULLED_RANGE = 10.0  # m: up to this range, rays that pass no triangle in range
 
 @dataclass
 class LidarConfig:
-    """What the sensor can do. The defaults are the thesis's ideal sensor.
+    """Which sensor scans, how far, and with which flaws. The defaults are the thesis's ideal sensor.
 
     Args:
-        max_range: farthest range in metres. The device reaches 100 m; cut to the circumradius of the reduction (4 m),
+        max_range: farthest range in metres, at most the sensor's own. Cut to the circumradius of the reduction (4 m),
             `uavrl.transforms.icosahedron.truncated_icosahedron` gives the identical result for less than half the time.
-        min_range: points nearer than this are not reported, in metres; 0 is off. The device has 0.9.
-        range_noise: standard deviation of the range error in metres; 0 is off. About 0.01 for the device.
+        min_range: points nearer than this are not reported, in metres; 0 is off. None: the sensor's blind distance,
+            which is 0 for the VLP-16; its data sheet has 0.9.
+        range_noise: standard deviation of the range error in metres; 0 is off. None: the sensor's own, which is 0 for
+            the VLP-16; about 0.01 for the device.
         dropout: probability in [0, 1) that a hit is not reported.
-        motion_distortion: whether the sensor moves on during the 0.1 s of a spin.
-        far_range: to which every fifth firing cycle reaches at least, in metres, for what looks farther and needs fewer
-            rays, as :class:`uavrl.transforms.MovingObjects` does. None: as far as the others.
+        motion_distortion: whether the sensor moves on during a spin.
+        far_range: to which the rays of one direction in each degree reach at least, in metres, for what looks farther
+            and needs fewer rays, as :class:`uavrl.transforms.MovingObjects` does. None: as far as the others.
+        sensor: a name of :data:`uavrl.envs.sensors.SENSORS`, a YAML file, whose settings are then kept, the settings of
+            a :class:`uavrl.envs.LidarSensor`, or one itself.
 
     Examples:
         >>> LidarConfig(max_range=4.0, range_noise=0.01).max_range
@@ -57,31 +54,63 @@ class LidarConfig:
     """
 
     max_range: Annotated[float, Field(le=1000)] = 100.0
-    min_range: float = 0.0
-    range_noise: Annotated[float, Field(le=100)] = 0.0
+    min_range: float | None = None
+    range_noise: Annotated[float, Field(le=100)] | None = None
     dropout: float = 0.0
     motion_distortion: bool = False
     far_range: Annotated[float, Field(gt=0, le=1000)] | None = None
+    sensor: Any = "vlp16"
 
     def __post_init__(self) -> None:
         """Checks the values."""
-        farther = () if self.far_range is None else ("far_range",)
-        require_finite(self, ("max_range", "min_range", "range_noise", "dropout", *farther))
+        self.sensor = sensor_settings(self.sensor)
+        optional = ("min_range", "range_noise", "far_range")
+        require_finite(self, ("max_range", "dropout", *(key for key in optional if getattr(self, key) is not None)))
         if not 0.0 < self.max_range <= LARGEST_RANGE:
             raise ValueError(
                 f"max_range must be a positive length in metres, at most {LARGEST_RANGE:g}, got {self.max_range}."
             )
-        if not 0.0 <= self.min_range < self.max_range:
+        if self.min_range is not None and not 0.0 <= self.min_range < self.max_range:
             raise ValueError(f"min_range must be in [0, max_range) metres, got {self.min_range}.")
         if self.far_range is not None and not 0.0 < self.far_range <= LARGEST_RANGE:
             raise ValueError(
                 f"far_range must be a positive length in metres, at most {LARGEST_RANGE:g}, or None, "
                 f"got {self.far_range}."
             )
-        if self.range_noise < 0.0:
+        if self.range_noise is not None and self.range_noise < 0.0:
             raise ValueError(f"range_noise must be a standard deviation in metres, 0 or more, got {self.range_noise}.")
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(f"dropout must be a probability in [0, 1), got {self.dropout}.")
+        if self.reach <= self.nearest:
+            raise UavrlError(
+                f"The LiDAR {self.device.name!r} sees nothing nearer than {self.nearest:g} m, and max_range is "
+                f"{self.max_range:g} m: raise max_range."
+            )
+
+    @property
+    def device(self) -> LidarSensor:
+        """The sensor."""
+        return lidar_sensor(self.sensor)
+
+    @property
+    def nearest(self) -> float:
+        """Shortest range that is reported, m."""
+        return self.device.blind_distance if self.min_range is None else self.min_range
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the range error, m."""
+        return self.device.range_noise if self.range_noise is None else self.range_noise
+
+    @property
+    def reach(self) -> float:
+        """Farthest range, m."""
+        return min(self.max_range, self.device.max_range)
+
+    @property
+    def farthest(self) -> float:
+        """Farthest range of the rays that look farther, m."""
+        return max(self.reach, min(self.far_range or 0.0, self.device.max_range))
 
 
 def _embree_scene(mesh: Mesh) -> EmbreeScene:
@@ -91,7 +120,7 @@ def _embree_scene(mesh: Mesh) -> EmbreeScene:
 
 
 class Lidar:
-    """Casts whole VLP-16 scans of any number of vehicles at once; the vehicles do not see each other.
+    """Casts whole scans of any number of vehicles at once; the vehicles do not see each other.
 
     One Embree call casts a vehicle's rays against the static scene; at short range, only those that pass near a
     triangle (`uavrl.envs.ray_culling.RayCuller`), which changes no result. Moving bodies live in a small Embree scene
@@ -103,7 +132,8 @@ class Lidar:
         config: range and imperfections of the sensor, or a dict of these; `LidarConfig()` if None.
 
     Attributes:
-        directions: ``float32 [28928, 3]``, read-only, as `uavrl_onboard.lidar.vlp16.firing_directions` gives them.
+        sensor: the sensor that ``config`` names.
+        directions: ``float32 [R, 3]``, read-only, of the rays of a scan; of the first one, if the pattern changes.
 
     Examples:
         A wall 2 m ahead, seen from the origin:
@@ -119,23 +149,29 @@ class Lidar:
         self, meshes: Sequence[Mesh], moving: Mesh | None = None, config: OrMapping[LidarConfig] | None = None
     ) -> None:
         self.config = settings("config", LidarConfig, config)
-        self.directions = firing_directions()
-        self.directions.setflags(write=False)
-        # [3, R]: x, y and z contiguous, which numpy runs through fastest
-        self._columns = np.ascontiguousarray(self.directions.T)
+        self.sensor = self.config.device
+        rays = self.sensor.rays
+        self.directions, self._times, self._azimuths = rays.directions[0], rays.times, rays.azimuths
+        # [3, R] of each scan of the pattern: x, y and z contiguous, which numpy runs through fastest
+        self._columns = [np.ascontiguousarray(directions.T) for directions in rays.directions]
         self._meshes, self._moving = list(meshes), moving
         self._static_scene = _embree_scene(Mesh.merge(self._meshes)) if self._meshes else None
         self._moving_scene = None if moving is None else _embree_scene(moving)
         self._moving_radius = 0.0 if moving is None else 1.01 * float(np.linalg.norm(moving.vertices, axis=-1).max())
-        self._reach = np.full(NUM_RAYS, self.config.max_range, np.float32)
-        self._farthest = max(self.config.max_range, self.config.far_range or 0.0)
-        self._reach.reshape(AZIMUTH_STEPS, -1)[::FAR_EVERY] = self._farthest
-        self._far_rays = np.flatnonzero(self._reach > self.config.max_range)
+        self._nearest, self._farthest = self.config.reach, self.config.farthest
+        self._far_rays, self._reach = [], []
+        for directions in rays.directions:
+            far = np.empty(0, np.int64)
+            if self._farthest > self._nearest:
+                far = np.sort(far_ray_indices(directions))
+            reach = np.full(len(directions), self._nearest, np.float32)
+            reach[far] = self._farthest
+            self._far_rays.append(far)
+            self._reach.append(reach)
         self._culler: RayCuller | None = None
         # In a long scan all rays are candidates, and a moving sensor sweeps more: culling would not pay.
-        if self._meshes and self.config.max_range <= _CULLED_RANGE and not self.config.motion_distortion:
-            grid = AZIMUTH_STEPS, AZIMUTH_STEP, np.radians(LASER_ELEVATIONS)
-            self._culler = RayCuller(Mesh.merge(self._meshes), self.config.max_range, *grid)
+        if self._meshes and self._nearest <= _CULLED_RANGE and not self.config.motion_distortion:
+            self._culler = RayCuller(Mesh.merge(self._meshes), self._nearest, self.sensor)
 
     def __reduce__(self) -> tuple[type[Lidar], tuple[list[Mesh], Mesh | None, LidarConfig]]:
         """Rebuilds the Embree scenes where the sensor is copied or sent to, as they cannot be pickled."""
@@ -152,6 +188,7 @@ class Lidar:
         rng: np.random.Generator | None = None,
         flaws: Sequence[VehicleParams] | None = None,
         rays: slice | None = None,
+        numbers: Sequence[int] | np.ndarray | None = None,
     ) -> np.ndarray:
         """Casts one scan per vehicle.
 
@@ -169,9 +206,10 @@ class Lidar:
             rng: source of range noise and dropout, which need it.
             flaws: N vehicles with a blind sector, or with noise and dropout in place of those of ``config``.
             rays: those that are cast, without motion distortion; all others are NaN. None: all of a turn.
+            numbers: of N sensors whose pattern changes, which scan of it each casts, from 0; None: all the first.
 
         Returns:
-            ``float32 [N, 28928, 3]``, points in the sensor frame in metres, in the order of ``directions``; NaN in all
+            ``float32 [N, R, 3]``, points in the sensor frame in metres, in the order of ``directions``; NaN in all
             three coordinates where a ray hits nothing. A fresh array each call. Its memory holds all x, all y and all z
             in turn, so it is not C-contiguous.
 
@@ -189,7 +227,7 @@ class Lidar:
         if poses.size and self._moving_scene is None:
             raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
         flaws = [VehicleParams()] * len(positions) if flaws is None else flaws
-        noise = [config.range_noise if flaw.range_noise is None else flaw.range_noise for flaw in flaws]
+        noise = [config.noise if flaw.range_noise is None else flaw.range_noise for flaw in flaws]
         dropout = [config.dropout if flaw.dropout is None else flaw.dropout for flaw in flaws]
         if rng is None and (any(noise) or any(dropout)):
             raise ValueError("range_noise and dropout need rng, a numpy Generator, got None.")
@@ -197,37 +235,45 @@ class Lidar:
         if moved:
             velocities = _checked("velocities", velocities, positions.shape)
             angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
-        ranges = np.full((len(positions), NUM_RAYS), np.nan, dtype=np.float32)
-        first, last, _ = slice(None).indices(NUM_RAYS) if rays is None else rays.indices(NUM_RAYS)
+        count, scans = len(self._times), len(self._columns)
+        which = [0] * len(positions) if numbers is None or scans == 1 else [int(number) % scans for number in numbers]
+        ranges = np.full((len(positions), count), np.nan, dtype=np.float32)
+        first, last, _ = slice(None).indices(count) if rays is None else rays.indices(count)
         every = None if rays is None else np.arange(first, last)
-        near = None if self._culler is None else self._culler.candidates(positions, rotations)
-        if near is not None and self._farthest > self.config.max_range:
-            near[:, ::FAR_EVERY] = True
+        near = None if self._culler is None else self._culler.candidates(positions, rotations, which)
         for vehicle, (position, rotation) in enumerate(zip(positions, rotations, strict=True)):
-            origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ self._columns
+            if near is not None:
+                near[vehicle, self._far_rays[which[vehicle]]] = True
+            columns, reach = self._columns[which[vehicle]], self._reach[which[vehicle]]
+            origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ columns
             speed = 0.0
             if moved and velocities is not None and angular_velocities is not None:
-                origins = origins + (velocities[vehicle, :, None] * FIRING_TIMES).astype(np.float32)
-                directions = _turned(directions, angular_velocities[vehicle]).astype(np.float32)
+                origins = origins + (velocities[vehicle, :, None] * self._times).astype(np.float32)
+                directions = _turned(directions, angular_velocities[vehicle], self._times).astype(np.float32)
                 speed = float(np.linalg.norm(velocities[vehicle]))
             if self._static_scene is not None:
-                passing = every if near is None else np.flatnonzero(near[vehicle].ravel()[first:last]) + first
+                passing = every if near is None else np.flatnonzero(near[vehicle, first:last]) + first
                 towards = _of_rays(passing, origins), _of_rays(passing, directions)
-                _cast(self._static_scene, *towards, passing, ranges[vehicle], self._reach)
-            reached = self._farthest + self._moving_radius + speed * FIRING_TIMES[-1]
+                _cast(self._static_scene, *towards, passing, ranges[vehicle], reach)
+            reached = self._farthest + self._moving_radius + speed * self._times[-1]
             within = np.linalg.norm(poses[vehicle, :, :3] - position, axis=1) < reached
             for pose in poses[vehicle, within]:
-                self._cast_body(pose, position, speed, origins, directions, ranges[vehicle])
+                self._cast_body(pose, position, speed, origins, directions, ranges[vehicle], which[vehicle])
         if rays is not None:
             ranges[:, :first] = ranges[:, last:] = np.nan
-        for seen, flaw in zip(ranges, flaws, strict=True):
+        for seen, flaw, number in zip(ranges, flaws, which, strict=True):
             if flaw.blind_sector:
-                hide_sector(seen, flaw.blind_azimuth, flaw.blind_sector)
+                hide_sector(seen, self._azimuths[number], flaw.blind_azimuth, flaw.blind_sector)
         if rng is not None:
             add_noise(ranges, noise, dropout, rng)
-        if config.min_range > 0.0:
-            np.putmask(ranges, ranges < config.min_range, np.nan)
-        return (self._columns[:, None] * ranges).transpose(1, 2, 0)
+        if config.nearest > 0.0:
+            np.putmask(ranges, ranges < config.nearest, np.nan)
+        if scans == 1:
+            return (self._columns[0][:, None] * ranges).transpose(1, 2, 0)
+        points = np.empty((3, *ranges.shape), np.float32)
+        for vehicle, number in enumerate(which):
+            np.multiply(self._columns[number], ranges[vehicle], out=points[:, vehicle])
+        return points.transpose(1, 2, 0)
 
     def _cast_body(
         self,
@@ -237,11 +283,12 @@ class Lidar:
         origins: np.ndarray,
         directions: np.ndarray,
         ranges: np.ndarray,
+        number: int,
     ) -> None:
         """Shortens the ranges of one vehicle's rays that hit one moving body, in the body's frame."""
-        offset, radius = pose[:3] - position, self._moving_radius + speed * FIRING_TIMES[-1]
+        offset, radius = pose[:3] - position, self._moving_radius + speed * self._times[-1]
         gap = float(np.linalg.norm(offset))
-        rays = self._far_rays if gap > self.config.max_range + radius else None
+        rays = self._far_rays[number] if gap > self._nearest + radius else None
         directions = _of_rays(rays, directions)
         if gap > radius:
             met = np.flatnonzero(offset.astype(np.float32) @ directions > math.sqrt(gap**2 - radius**2))
@@ -249,7 +296,7 @@ class Lidar:
         to_body = yaw_rotation(-pose[3]).astype(np.float32)
         from_body = to_body @ (_of_rays(rays, origins) - pose[:3, None].astype(np.float32))
         assert self._moving_scene is not None
-        _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach)
+        _cast(self._moving_scene, from_body, to_body @ directions, rays, ranges, self._reach[number])
 
 
 def _of_rays(rays: np.ndarray | None, columns: np.ndarray) -> np.ndarray:
@@ -276,10 +323,10 @@ def _cast(
     ranges[slice(None) if rays is None else rays] = np.where(lengths < reach, lengths, np.float32(np.nan))
 
 
-def _turned(directions: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
-    """Turns directions ``[3, R]`` by ``angular_velocity [3]`` times the firing times."""
+def _turned(directions: np.ndarray, angular_velocity: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Turns directions ``[3, R]`` by ``angular_velocity [3]`` times the firing ``times [R]``."""
     speed = np.linalg.norm(angular_velocity)
-    return turn_about(directions, angular_velocity / np.maximum(speed, 1e-12), speed * FIRING_TIMES)
+    return turn_about(directions, angular_velocity / np.maximum(speed, 1e-12), speed * times)
 
 
 def _checked(name: str, values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:

@@ -5,8 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS
-
 
 def add_noise(ranges: np.ndarray, noise: Sequence[float], dropout: Sequence[float], rng: np.random.Generator) -> None:
     """Applies to ``ranges [N, R]`` in m, NaN where there is none, what each of the N sensors has.
@@ -37,10 +35,10 @@ def add_noise(ranges: np.ndarray, noise: Sequence[float], dropout: Sequence[floa
     ranges[hit] = measured
 
 
-def hide_sector(ranges: np.ndarray, azimuth: float, width: float) -> None:
-    """Takes the returns from a sector of ``ranges [R]``, around an azimuth (left positive) and of a width in rad."""
-    cycles = ranges.reshape(AZIMUTH_STEPS, -1)  # which turn clockwise, from straight ahead
-    begin = (-azimuth - width / 2) % (2 * math.pi)
-    for at in (begin, begin - 2 * math.pi):
-        first, last = math.ceil(at / AZIMUTH_STEP), math.floor((at + width) / AZIMUTH_STEP)
-        cycles[max(first, 0) : max(last + 1, 0)] = np.nan
+def hide_sector(ranges: np.ndarray, azimuths: np.ndarray, azimuth: float, width: float) -> None:
+    """Takes the returns from a sector of ``ranges [R]``, around an azimuth (left positive) and of a width in rad.
+
+    ``azimuths [C]`` are those of C groups of rays, in rad clockwise from straight ahead.
+    """
+    begin = (-azimuth - width / 2) % math.tau
+    ranges.reshape(len(azimuths), -1)[(azimuths - begin) % math.tau <= width] = np.nan

@@ -4,13 +4,16 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from numbers import Integral, Real
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
+from pydantic import Field
 
 from uavrl.errors import UavrlError, did_you_mean
 
 T = TypeVar("T")
+FASTEST = 10.0  # m/s: at the tilt limit drag holds the default airframe there
+MaxSpeed = Annotated[float, Field(gt=0, le=FASTEST)]
 
 if TYPE_CHECKING:
     OrMapping: TypeAlias = T | Mapping[str, Any]
@@ -82,6 +85,18 @@ def whole(name: str, value: Any, least: int = 0) -> int:
     if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
         raise UavrlError(f"{name} must be a whole number, {least} or more, got {value!r}.")
     return int(value)
+
+
+def require_speed(speed: float) -> float:
+    """Return the limit of each component of a velocity in m/s, or refuse it.
+
+    Examples:
+        >>> require_speed(4)
+        4.0
+    """
+    if not isinstance(speed, Real) or isinstance(speed, bool) or not 0 < speed <= FASTEST:
+        raise UavrlError(f"max_speed must be above 0 and at most {FASTEST:g} m/s, got {speed!r}.")
+    return float(speed)
 
 
 def require_finite(config: object, names: Iterable[str]) -> None:

@@ -36,6 +36,24 @@ def cut_up(corners: np.ndarray, small: Callable[[np.ndarray], np.ndarray]) -> np
     return np.concatenate(found)
 
 
+def decimated(mesh: Mesh, most: int) -> Mesh:
+    """The mesh with at most so many triangles: corners in one cell of a grid become one, ever larger cells if needed.
+
+    Examples:
+        >>> len(decimated(icosphere(4), 1000).faces) <= 1000 < len(icosphere(4).faces)
+        True
+    """
+    cell, faces, vertices = 0.05, mesh.faces, mesh.vertices
+    while len(faces) > most:
+        _, first, which = np.unique(np.floor(mesh.vertices / cell), axis=0, return_index=True, return_inverse=True)
+        faces = first[which.ravel()[mesh.faces]]
+        a, b, c = faces.T
+        faces = np.unique(faces[(a != b) & (b != c) & (c != a)], axis=0)
+        cell *= 1.4
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return Mesh(vertices[used], renumbered.reshape(-1, 3))
+
+
 def tube(path: np.ndarray, radii: np.ndarray, sides: int = 8) -> Mesh:
     """Returns a closed tube along ``path [S, 2]``, x and z in the plane y = 0, with ``radii [S]``."""
     tangent = np.gradient(path, axis=0)

@@ -1,6 +1,6 @@
 """The navigation task as a natively batched TorchRL environment."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from copy import deepcopy
 from functools import cached_property
 from typing import Annotated, Literal, TypeVar
@@ -13,19 +13,21 @@ from torchrl.data import Bounded, Unbounded
 from torchrl.envs import EnvBase
 
 from uavrl.envs.controller import most_load
+from uavrl.envs.difficulty import Difficulty, measure_tasks
 from uavrl.envs.interface import checked_action, navigation_specs, quantities
-from uavrl.envs.lidar import NUM_RAYS, Lidar, LidarConfig
-from uavrl.envs.limits import OrMapping, check_hull, settings, whole
+from uavrl.envs.lidar import Lidar, LidarConfig
+from uavrl.envs.limits import MaxSpeed, OrMapping, check_hull, require_speed, settings, whole
+from uavrl.envs.privileged import QUANTITIES, privileged
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import Randomization, draw_vehicles, require_flyable
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.vehicle_params import VehicleParams
-from uavrl.envs.world import World, WorldConfig, draw_valley
+from uavrl.envs.world import World, WorldLike, draw_place, world_rules
 from uavrl.errors import UavrlError
-from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.goal import goal_distance
+from uavrl_onboard.vehicle import VEHICLE
 
 Hidden = Literal["planes"]
 TICKS = PHYSICS_RATE // CONTROL_RATE  # physics steps in a step
@@ -33,18 +35,18 @@ _Made = TypeVar("_Made")
 
 
 class NavigationEnv(EnvBase):
-    """Quadrotors that fly to goals through a cluttered valley, seeing only through a VLP-16 LiDAR.
+    """Quadrotors that fly to goals through a cluttered world, seeing only through a LiDAR, by default a VLP-16.
 
     The batch is native: ``num_uavs`` vehicles with tasks of their own fly in one PyBullet world, invisible to each
     other, and one Embree call casts all their rays (Chansuparp (2022), §4.1). A step is 0.1 s: 24 physics steps, then
     a scan. Actions ``(l_x, l_y, l_z, a_z)`` are the velocities in the yaw-aligned body frame (m/s) and the yaw rate
-    (rad/s), each in [-2, 2].
+    (rad/s), each in [-``max_speed``, ``max_speed``]; the yaw rate is cut at 2 rad/s.
 
-    It emits ``point_cloud`` (``[28928, 3]``, m, sensor frame, NaN = no return), ``altitude`` (m), ``heading_deg`` and
-    ``elevation_deg`` (the thesis's h and g), ``attitude`` (roll, pitch and yaw in rad), and for rewards, metrics and
-    pictures ``distance``, ``position``, ``velocity`` (m/s, world axes), ``goal``, ``arrived``, ``collided``,
-    ``world_seed`` and ``task``. Its own reward is the progress to the goal in metres; the thesis's rewards are
-    transforms (:mod:`uavrl.transforms`).
+    It emits ``point_cloud`` (``[R, 3]``, m, sensor frame, NaN = no return; a VLP-16 has 28,928 rays), ``altitude`` (m),
+    ``heading_deg`` and ``elevation_deg`` (the thesis's h and g), ``attitude`` (roll, pitch and yaw in rad), and for
+    rewards, metrics and pictures ``distance``, ``position``, ``velocity`` (m/s, world axes), ``goal``, ``arrived``,
+    ``collided``, ``world_seed`` and ``task``. Its own reward is the progress to the goal in metres; the thesis's
+    rewards are transforms (:mod:`uavrl.transforms`).
 
     Task number ``k`` after ``set_seed(s)`` depends on ``(s, k)`` alone, so that two policies that are rolled out with
     one seed meet the same tasks (only a plane in the way moves a start); ``reset(task=k)`` goes on with task ``k``.
@@ -63,16 +65,19 @@ class NavigationEnv(EnvBase):
 
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.
-        world: valley, goals and planes.
-        lidar: the sensor and its noise.
+        world: where they fly, goals and planes: valleys, or any other world.
+        lidar: the sensor, its range and its noise; or only the name of a sensor.
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
         randomize: what is drawn for the vehicle of each episode; None: nothing.
+        max_speed: limit of each component of the velocity, m/s (Table 4.1: 2).
         max_steps: steps until an episode is truncated (Table 4.1: 300).
         blind: whether the LiDAR reports nothing at all, and casts nothing: altitude and angles are all that is left.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
-        tasks: the tasks that will begin: valleys that none of these needs are not built. None: any task.
+        privileged: also emit these of :data:`uavrl.envs.privileged.QUANTITIES`, which critics may read.
+        tasks: the tasks that count: valleys that none of these needs are not built. Vehicles that go on after the last
+            of them have further tasks in the valleys that are. None: any task.
         seed: seed of tasks, traffic, gusts and sensor noise.
         device: where the outputs go. The simulation itself runs on the CPU.
 
@@ -88,15 +93,17 @@ class NavigationEnv(EnvBase):
         self,
         num_uavs: Annotated[int, Field(ge=1, le=512)] = 8,
         *,
-        world: OrMapping[WorldConfig] | None = None,
+        world: WorldLike | None = None,
         lidar: OrMapping[LidarConfig] | None = None,
         airframe: OrMapping[Airframe] | None = None,
         aerodynamics: OrMapping[Aerodynamics] | None = None,
         randomize: OrMapping[Randomization] | None = None,
+        max_speed: MaxSpeed = VEHICLE.velocity_limit,
         max_steps: Annotated[int, Field(ge=1, le=10**6)] = 300,
         blind: bool = False,
         blind_to: Hidden | None = None,
         measure_clearance: bool = False,
+        privileged: Collection[str] = (),
         tasks: Sequence[int] | None = None,
         seed: int = 0,
         device: torch.device | str = "cpu",
@@ -106,13 +113,17 @@ class NavigationEnv(EnvBase):
             raise ValueError(f"blind_to must be None or 'planes', got {blind_to!r}.")
         super().__init__(device=device, batch_size=torch.Size([num_uavs]))
         self.num_uavs, self.max_steps = num_uavs, max_steps
+        self.max_speed = require_speed(max_speed)
         self.blind = blind
         self.blind_to: Hidden | None = blind_to
         self.measure_clearance = measure_clearance
+        self.privileged = tuple(privileged)
+        if unknown := set(self.privileged) - set(QUANTITIES):
+            raise UavrlError(f"privileged takes any of {', '.join(QUANTITIES)}, got {', '.join(sorted(unknown))}.")
         if tasks is not None and not (np.iterable(tasks) and len(tasks)):
             raise UavrlError(f"tasks takes a list of one task or more, or None for any, got {tasks!r}.")
         self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
-        self._world_config = settings("world", WorldConfig, world)
+        self._world_config = world_rules(world)
         self.airframe = settings("airframe", Airframe, airframe)
         self.aerodynamics = settings("aerodynamics", Aerodynamics, aerodynamics)
         drawn = settings("randomize", Randomization, randomize)
@@ -122,13 +133,17 @@ class NavigationEnv(EnvBase):
         rules, hull = self._world_config, self.airframe
         check_hull(hull.collision_radius, hull.collision_height, max(rules.min_clearance, rules.uav_radius))
         self._lidar_config = settings("lidar", LidarConfig, lidar)
+        self.lidar_sensor = self._lidar_config.device
+        self.num_rays = self.lidar_sensor.num_rays
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None
         self._traffic: Traffic | None = None
         self._goal = np.zeros((num_uavs, 3))
-        self._valley, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
-        self.observation_spec, self.done_spec = navigation_specs(num_uavs, self.device, clearance=measure_clearance)
-        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, (num_uavs, 4), self.device, torch.float32)
+        self._place_of, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
+        self.observation_spec, self.done_spec = navigation_specs(
+            num_uavs, self.num_rays, self.device, clearance=measure_clearance, privileged=self.privileged
+        )
+        self.action_spec = Bounded(-self.max_speed, self.max_speed, (num_uavs, 4), self.device, torch.float32)
         self.reward_spec = Unbounded((num_uavs, 1), self.device, torch.float32)
         specs = {**self.observation_spec, "reward": self.reward_spec, **self.done_spec}
         self._dtypes = {key: spec.dtype for key, spec in specs.items()}
@@ -161,6 +176,7 @@ class NavigationEnv(EnvBase):
             aerodynamics=air,
             plane_mesh=mesh,
             plane_count=planes,
+            max_speed=self.max_speed,
             rng=gusts,
         )
         if self._lidar is None and not self.blind:
@@ -172,10 +188,10 @@ class NavigationEnv(EnvBase):
 
     @cached_property
     def world(self) -> World:
-        """Valleys, goals and routes; built at the first use, which takes seconds."""
+        """Places, goals and routes; built at the first use, which takes seconds."""
         needed = None
         if self._tasks is not None:
-            needed = {draw_valley(self._world_config, self._task_rng(task)) for task in self._tasks}
+            needed = {draw_place(self._world_config, self._task_rng(task)) for task in self._tasks}
         return World(self._world_config, needed)
 
     @property
@@ -194,7 +210,7 @@ class NavigationEnv(EnvBase):
             self._rebuild()
         self._next_task = self._next_task if task is None else whole("task", task)
         index, nothing = np.flatnonzero(mask), np.zeros(self.num_uavs, dtype=bool)
-        self._place(index)
+        self._place(index, asked=task is not None)
         data = self._observe(index, nothing, nothing)
         return self._pack({**data, "done": nothing, "terminated": nothing, "truncated": nothing})
 
@@ -202,12 +218,27 @@ class NavigationEnv(EnvBase):
         """What draws a task."""
         return np.random.default_rng((self._seed, task))
 
-    def _place(self, index: np.ndarray) -> None:
+    def _spare_place(self, task: int) -> int | None:
+        """The place, among those that were built, of a task after the last one that counts; None: its own."""
+        if self._tasks is None or task <= max(self._tasks):
+            return None
+        drawn = draw_place(self._world_config, self._task_rng(task))
+        return None if drawn in self.world.built else drawn % len(self.world.places)
+
+    def difficulty(self, tasks: Sequence[int]) -> list[Difficulty | None]:
+        """How hard tasks of the current seed are, wherever planes would move their starts to.
+
+        It takes a second or two for each place, and some milliseconds for each task.
+        """
+        return measure_tasks(self.world, [self.world.sample_task(self._task_rng(task)) for task in tasks])
+
+    def _place(self, index: np.ndarray, *, asked: bool) -> None:
         first, starts, yaws = self._next_task, np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
-            task = self.world.sample_task(self._task_rng(self._next_task), avoid=self.traffic.positions)
+            spare = None if asked else self._spare_place(self._next_task)
+            task = self.world.sample_task(self._task_rng(self._next_task), spare, self.traffic.positions)
             starts[row], yaws[row] = task.start, task.yaw
-            self._goal[uav], self._valley[uav] = task.goal, task.valley
+            self._goal[uav], self._place_of[uav] = task.goal, task.place
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
             self._next_task += 1
         self._steps[index] = 0
@@ -221,7 +252,7 @@ class NavigationEnv(EnvBase):
         distance_tm1 = goal_distance(self.simulation.position, self._goal)
         path = self.traffic.advance(TICKS, 1 / PHYSICS_RATE) if self.traffic.legs else None
         collided = self.simulation.step(action, path)
-        collided |= self.world.out_of_bounds(self.simulation.position, self._valley)
+        collided |= self.world.out_of_bounds(self.simulation.position, self._place_of)
         arrived = self.world.arrived(self.simulation.position, self._goal) & ~collided
         self._steps += 1
         terminated = arrived | collided
@@ -234,7 +265,8 @@ class NavigationEnv(EnvBase):
         """Quantities of all vehicles; only those in ``index`` scan, the clouds of the others stay empty."""
         data = {"point_cloud": self._scan(index), "arrived": arrived, "collided": collided}
         data |= {"world_seed": self._world_seed, "task": self._task}
-        return data | quantities(self.simulation, self._goal, clearance=self.measure_clearance)
+        data |= quantities(self.simulation, self._goal, clearance=self.measure_clearance)
+        return data | privileged(self.privileged, self.simulation, self.traffic)
 
     def _built(self, made: _Made | None) -> _Made:
         self._require_open()
@@ -274,14 +306,15 @@ class NavigationEnv(EnvBase):
         return plane_mesh(self._world_config.plane_wingspan)
 
     def look(self, rays: slice) -> np.ndarray:
-        """What all vehicles see now by some rays: ``[N, 28928, 3]``, NaN for all other rays and for misses."""
+        """What all vehicles see now by some rays: ``[N, R, 3]``, NaN for all other rays and for misses."""
         return self._scan(np.arange(self.num_uavs), rays)
 
     def _scan(self, index: np.ndarray, rays: slice | None = None) -> np.ndarray:
         if self._lidar is None:
             return self._no_returns
         planes = self.plane_poses() if self.world.config.planes and self.blind_to != "planes" else None
-        points = self.simulation.scan(self._lidar, index, planes, self._lidar_rng, rays)
+        numbers = self._task[index] + self._steps[index]  # of a pattern that changes: its own in each task
+        points = self.simulation.scan(self._lidar, index, planes, self._lidar_rng, rays, numbers)
         if len(index) == self.num_uavs:
             return points
         cloud = self._no_returns.copy(order="K")
@@ -291,7 +324,7 @@ class NavigationEnv(EnvBase):
     @cached_property
     def _no_returns(self) -> np.ndarray:
         """The clouds of the blind: filled once, and the same array after every step."""
-        return np.full((3, self.num_uavs, NUM_RAYS), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
+        return np.full((3, self.num_uavs, self.num_rays), np.nan, dtype=np.float32).transpose(1, 2, 0)  # as a scan lies
 
     def _pack(self, data: dict[str, np.ndarray]) -> TensorDict:
         tensors = {}

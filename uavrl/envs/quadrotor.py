@@ -109,12 +109,13 @@ class Airframe:
         """Mass with the LiDAR in kg."""
         return self.mass + self.lidar_mass
 
-    def vehicle(self, flight_level: float = VEHICLE.flight_level) -> Vehicle:
-        """Return the vehicle that guards and planners assume, around a flight level in m."""
+    def vehicle(self, flight_level: float = VEHICLE.flight_level, max_speed: float = VEHICLE.velocity_limit) -> Vehicle:
+        """Return the vehicle that guards and planners assume, around a flight level in m, with its limit in m/s."""
         return Vehicle(
             radius=self.collision_radius,
             height=self.collision_height,
             lidar_position=self.lidar_position,
+            velocity_limit=max_speed,
             flight_level=flight_level,
         )
 

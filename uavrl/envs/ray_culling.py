@@ -1,12 +1,14 @@
 """Which rays of a short-range scan can hit anything at all: most cannot, and need no ray casting."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import reduce
 
 import numpy as np
 
 from uavrl.envs.mesh import cut_up, lengths
+from uavrl.envs.sensors import LidarSensor
+from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, LASER_ELEVATIONS
 from uavrl_onboard.mesh import Mesh
 
 __all__ = ["RayCuller"]
@@ -17,18 +19,18 @@ _NONE = np.empty(0, np.int64)
 
 
 class RayCuller:
-    """Finds the rays of a spinning multi-laser scan that pass near a triangle within range.
+    """Finds the rays of a short-range scan that pass near a triangle within range.
 
     Each triangle in reach is seen as its bounding sphere (large ones as several), which covers an interval of azimuths
-    and an interval of elevations. The rays in none of these rectangles cannot hit, and need not be cast. The rays come
-    in a grid: firing cycles at even azimuth steps, clockwise from straight ahead, times lasers at even elevation steps.
+    and an interval of elevations. The rays in none of these rectangles cannot hit, and need not be cast. A VLP-16's
+    rays come in a grid of their own: firing cycles at even azimuth steps, clockwise from straight ahead, times lasers
+    at even elevation steps. The rays of any other sensor are sorted into cells of azimuth and elevation.
     """
 
     _BIN = 8  # firing cycles that are kept or dropped together
+    _CELL = math.radians(1.5)  # of a sensor without such a grid
 
-    def __init__(self, mesh: Mesh, max_range: float, cycles: int, azimuth_step: float, elevations: np.ndarray) -> None:
-        if cycles % self._BIN:
-            raise ValueError(f"cycles must be a multiple of {self._BIN}, got {cycles}.")
+    def __init__(self, mesh: Mesh, max_range: float, sensor: LidarSensor) -> None:
         corners = mesh.vertices[mesh.faces].astype(np.float64)
         centres, radii = _spheres(cut_up(corners, lambda pieces: _spheres(pieces)[1] <= _SPHERE))
         bands = np.floor(centres[:, 1] / _BAND).astype(np.int64)
@@ -41,17 +43,38 @@ class RayCuller:
         window = max_range + self._radii.max(initial=0.0)
         self._window = np.array([-window, window], np.float32)
         self._reach = (max_range + self._radii) ** 2
-        self._bins, self._width = cycles // self._BIN, azimuth_step * self._BIN
-        self._lowest, self._highest = float(elevations.min()), float(elevations.max())
-        self._rise = (self._highest - self._lowest) / (len(elevations) - 1)
-        self._lasers, self._by_elevation = len(elevations), np.argsort(np.argsort(elevations))
+        self._places: list[np.ndarray] = []  # of each scan of the pattern, the cell of each ray
+        if sensor.pattern == "vlp16":
+            elevations = np.radians(LASER_ELEVATIONS)
+            self._bins, self._width = AZIMUTH_STEPS // self._BIN, AZIMUTH_STEP * self._BIN
+            self._lowest, self._highest = float(elevations.min()), float(elevations.max())
+            self._rise = (self._highest - self._lowest) / (len(elevations) - 1)
+            self._rows, self._by_elevation = len(elevations), np.argsort(np.argsort(elevations))
+            self._depth = 0.0  # a row is a line
+        else:
+            self._sort(sensor.rays.directions)
 
-    def candidates(self, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-        """Returns which rays can hit, ``bool [N, cycles, lasers]``, lasers in the order of ``elevations``.
+    def _sort(self, directions: np.ndarray) -> None:
+        """Sorts the rays ``[S, R, 3]`` into cells."""
+        x, y, z = np.moveaxis(directions.astype(np.float64), -1, 0)
+        elevation, azimuth = np.arctan2(z, np.hypot(x, y)), np.arctan2(-y, x) % math.tau
+        self._bins = round(math.tau / self._CELL)
+        self._width = math.tau / self._bins
+        self._lowest, self._highest = float(elevation.min()) - 1e-4, float(elevation.max()) + 1e-4
+        self._rows = max(1, math.ceil((self._highest - self._lowest) / self._CELL))
+        self._rise = (self._highest - self._lowest) / self._rows
+        self._depth = 1.0  # a row reaches up to the next one
+        column = (azimuth / self._width).astype(np.int64) % self._bins
+        row = ((elevation - self._lowest) / self._rise).astype(np.int64).clip(0, self._rows - 1)
+        self._places = list(column * self._rows + row)
+
+    def candidates(self, positions: np.ndarray, rotations: np.ndarray, numbers: Sequence[int]) -> np.ndarray:
+        """Returns which rays can hit, ``bool [N, R]``.
 
         Args:
             positions: ``[N, 3]``, sensor positions in the world in metres.
             rotations: ``[N, 3, 3]``, sensor-to-world rotations.
+            numbers: which scan of the sensor's pattern each casts.
         """
         vehicles, (x, y, z), flat, radii = self._near(positions.astype(np.float32), rotations.astype(np.float32))
         far = np.sqrt(flat * flat + z * z)
@@ -60,17 +83,25 @@ class RayCuller:
             for away in (flat, far)
         )
         azimuth, elevation = np.arctan2(-y, x), np.arctan2(z, flat) - self._lowest
-        bottom = np.ceil((elevation - half_elevation) / self._rise).clip(0, self._lasers).astype(np.int64)
-        top = np.floor((elevation + half_elevation) / self._rise + 1.0).clip(bottom, self._lasers).astype(np.int64)
+        bottom = np.ceil((elevation - half_elevation) / self._rise - self._depth)
+        bottom = bottom.clip(0, self._rows).astype(np.int64)
+        top = np.floor((elevation + half_elevation) / self._rise + 1.0).clip(bottom, self._rows).astype(np.int64)
         # A whole turn may begin less than one step before the first bin.
         left = np.floor((azimuth - half_azimuth) / self._width).astype(np.int64).clip(-self._bins)
         # The cycles may end a step short of a full turn: bins counted backwards from straight ahead are off by that.
         right = np.floor((azimuth + half_azimuth) / self._width + 1.0 / self._BIN).astype(np.int64) + 1
         bins = self._painted(len(positions), vehicles, left, right, bottom, top)
-        return np.repeat(bins[:, :, self._by_elevation], self._BIN, axis=1)
+        if self._places:
+            cells = bins.reshape(len(positions), -1)
+            found = np.empty((len(positions), len(self._places[0])), bool)
+            for row, number in enumerate(numbers):
+                found[row] = cells[row].take(self._places[number])
+            return found
+        grid = np.repeat(bins[:, :, self._by_elevation], self._BIN, axis=1)
+        return grid.reshape(len(grid), -1) if len(grid) else np.zeros((0, AZIMUTH_STEPS * self._rows), bool)
 
     def _near(self, positions: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Returns the spheres in range and between the outermost lasers' cones.
+        """Returns the spheres in range and between the outermost rays' cones.
 
         That is vehicle ids ``[M]``, centres in the sensor frame ``[3, M]``, their distances from its z axis ``[M]``
         and radii ``[M]``.
@@ -81,7 +112,7 @@ class RayCuller:
             x, y, z = rotation.T @ (self._centres.take(near, axis=1) - position[:, None])
             radii = self._radii.take(near)
             flat = np.sqrt(x * x + y * y)
-            over = math.cos(self._highest) * z - math.sin(self._highest) * flat  # m above the highest laser's cone
+            over = math.cos(self._highest) * z - math.sin(self._highest) * flat  # m above the highest ray's cone
             under = math.sin(self._lowest) * flat - math.cos(self._lowest) * z
             seen = np.flatnonzero((over < radii) & (under < radii))
             found.append(np.stack([np.full_like(x, vehicle), x, y, z, flat, radii]).take(seen, axis=1))
@@ -104,14 +135,14 @@ class RayCuller:
     def _painted(
         self, num: int, vehicles: np.ndarray, left: np.ndarray, right: np.ndarray, bottom: np.ndarray, top: np.ndarray
     ) -> np.ndarray:
-        """Returns the union of rectangles ``[left, right) x [bottom, top)`` per vehicle, ``bool [N, bins, lasers]``.
+        """Returns the union of rectangles ``[left, right) x [bottom, top)`` per vehicle, ``bool [N, bins, rows]``.
 
         Rectangles are written as steps at their corners and summed up. Azimuth bins wrap around: a rectangle that
         reaches beyond the last bin begins a second time at bin 0.
         """
         turned = self._bins * (left < 0)
         left, right = left + turned, np.minimum(right - left, self._bins) + left + turned
-        row, columns = vehicles * self._bins, self._lasers + 1
+        row, columns = vehicles * self._bins, self._rows + 1
         beyond = np.flatnonzero(right >= self._bins)
         begins = np.concatenate([row + left, row[beyond]]) * columns
         ends = (row + right - self._bins * (right >= self._bins)) * columns

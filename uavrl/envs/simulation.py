@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 CONTROL_RATE = round(VEHICLE.control_rate)  # Hz
 PHYSICS_RATE = 240  # Hz
-LIMITS = np.array([VEHICLE.velocity_limit] * 3 + [VEHICLE.yaw_rate_limit])  # of commands
 TRACKING_PERIOD = 3  # physics steps per step of the controller's outer loop: 80 Hz; 1 where it does not divide
 CONTACT_DISTANCE = 1e-3  # m: Bullet stops a body where it touches, within rounding, before it penetrates
 _IN_BULLET = ("_client", "_disconnect", "_statics", "_planes", "_vehicles", "_clearance", "_row")  # made by _build
@@ -56,6 +55,7 @@ class Simulation:
         plane_count: Number of planes K.
         physics_rate: Physics steps per second.
         control_rate: Calls of :meth:`step` per second; divides the physics rate.
+        max_speed: Limit of each component of the velocity in m/s.
         rng: Source of the gusts; needed when they are on.
 
     Attributes:
@@ -81,6 +81,7 @@ class Simulation:
         plane_count: int = 0,
         physics_rate: int = PHYSICS_RATE,
         control_rate: int = CONTROL_RATE,
+        max_speed: float = VEHICLE.velocity_limit,
         rng: np.random.Generator | None = None,
     ) -> None:
         self.airframe = settings("airframe", Airframe, airframe)
@@ -93,7 +94,7 @@ class Simulation:
         if plane_count and plane_mesh is None:
             raise ValueError(f"{plane_count} planes need a shape: pass plane_mesh.")
         self.count, self.substeps, self._dt = count, physics_rate // control_rate, 1 / physics_rate
-        self._control_rate = control_rate
+        self._limits = np.array([max_speed] * 3 + [VEHICLE.yaw_rate_limit])  # of commands
         self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
         self.motors_on, self._rng = True, rng
         self._history = StateHistory(count, plane_count, self.substeps)
@@ -175,7 +176,7 @@ class Simulation:
 
         Args:
             commands: ``[N, 4]``: velocities in the yaw-aligned body frame in m/s and yaw rate in rad/s, clipped to
-                [-2, 2].
+                their limits.
             plane_path: ``[substeps, K, 4]``: x, y, z in m and yaw in rad of the planes in each physics step.
             substeps: physics steps, if this is a part of a period: a multiple of 3. Parts and a whole come to the same.
         """
@@ -226,7 +227,7 @@ class Simulation:
             raise ValueError(f"Commands must have the shape ({self.count}, 4), got {commands.shape}.")
         if np.isnan(commands).any():
             raise UavrlError("Actions must be numbers, got NaN: check the policy, whose training may have diverged.")
-        return np.clip(commands, -LIMITS, LIMITS)
+        return np.clip(commands, -self._limits, self._limits)
 
     @staticmethod
     def _checked_poses(poses: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -304,6 +305,7 @@ class Simulation:
         planes: np.ndarray | None,
         rng: np.random.Generator,
         rays: slice | None = None,
+        numbers: np.ndarray | None = None,
     ) -> np.ndarray:
         """Returns the newest scans of the vehicles ``int [M]``, as :meth:`uavrl.envs.Lidar.scan` gives them.
 
@@ -318,13 +320,13 @@ class Simulation:
         if lidar.config.motion_distortion and rays is None:  # the scan is the spin that ends now
             from scipy.spatial.transform import Rotation  # here, so that it is PyBullet that is missed first
 
-            position = position - velocity / self._control_rate
-            rotation = Rotation.from_rotvec(-spin / self._control_rate).as_matrix() @ rotation
+            position = position - velocity / lidar.sensor.rate
+            rotation = Rotation.from_rotvec(-spin / lidar.sensor.rate).as_matrix() @ rotation
         if self.params.mount is not None:
             rotation = rotation @ self.params.mount[index]
         flaws = [self.params.each[row] for row in index] if self.params.flawed else None
         motion = {"velocities": velocity, "angular_velocities": spin}
-        return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws, rays=rays)
+        return lidar.scan(position, rotation, planes, **motion, rng=rng, flaws=flaws, rays=rays, numbers=numbers)
 
     def _at_lidar(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Where LiDARs are in states ``[M, 13]``, how they stand and move: as :meth:`_publish` says it of now."""

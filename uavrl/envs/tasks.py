@@ -89,12 +89,12 @@ class FreeSpace:
 
 @dataclass(frozen=True)
 class Task:
-    """One episode's start, yaw, goal and valley."""
+    """One episode's start, yaw, goal and place."""
 
     start: np.ndarray
     yaw: float
     goal: np.ndarray
-    valley: int
+    place: int
     world_seed: int
 
 
@@ -106,27 +106,36 @@ class FlightMap:
     corridor: np.ndarray
     candidates: np.ndarray
 
+    def at(self, level: float) -> int:
+        """The layer of the map nearest to a height in m."""
+        return int(np.abs(self.space.z - level).argmin())
+
+    def area_at(self, level: float) -> float:
+        """The area in m² that a vehicle can fly in at a height in m."""
+        return float(self.corridor[:, :, self.at(level)].sum() * CELL**2)
+
 
 def flight_map(
-    ground: HeightField,
-    obstacles: Mesh,
+    floor: HeightField,
+    solid: Mesh,
     *,
+    size: tuple[float, float],
     level: float,
     ceiling: float,
     uav_radius: float,
     min_clearance: float,
     min_distance: float,
 ) -> FlightMap:
-    """Maps a valley's free space once: tasks are then drawn in microseconds and are solvable by construction."""
+    """Maps a place's free space once: tasks are then drawn in microseconds and are solvable by construction."""
     needed = min_clearance + JITTER
-    x, y = (np.arange(CELL / 2 - length / 2, length / 2, CELL) for length in ground.size)
+    x, y = (np.arange(CELL / 2 - length / 2, length / 2, CELL) for length in size)
     z = level + RISE * np.arange(-((level + FLOOR_AMPLITUDE) // RISE), (ceiling + FLOOR_AMPLITUDE - level) // RISE + 1)
     reach = uav_radius + RISE / 2
     low, high = min(z[0] - reach, level - needed), max(z[-1] + reach, level + needed)
-    surface = Surface(Mesh.merge([*ground.tiles(), obstacles]), low - SURFACE_ERROR, high + SURFACE_ERROR)
+    surface = Surface(solid, low - SURFACE_ERROR, high + SURFACE_ERROR)
     points = grid_points(x, y, z)
     space = FreeSpace(x, y, z, surface.clearance(points, reach))
-    below = ground.at(points[:, :, 0, :2].reshape(-1, 2)).reshape(len(x), len(y), 1)
+    below = floor.at(points[:, :, 0, :2].reshape(-1, 2)).reshape(len(x), len(y), 1)
     corridor = space.largest_part((z > below) & (z <= below + ceiling - CELL / 2), uav_radius)
     at_level = int(np.abs(z - level).argmin())
     places = points[:, :, at_level][corridor[:, :, at_level]]

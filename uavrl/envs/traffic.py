@@ -123,12 +123,12 @@ class Traffic:
     def __init__(self, world: World, rng: np.random.Generator) -> None:
         config = world.config
         self.mesh = plane_mesh(config.plane_wingspan)
-        self.valleys = np.repeat(np.arange(len(world.valleys)), config.planes)
-        self._origins = np.array([world.valleys[v].origin for v in self.valleys]).reshape(-1, 2)
+        self.places = np.repeat(np.arange(len(world.places)), config.planes)
+        self._origins = np.array([world.places[v].origin for v in self.places]).reshape(-1, 2)
         seeds = rng.integers(2**63, size=(len(config.seeds), config.planes))[world.built].ravel()
         self.legs = [
-            Leg(np.random.default_rng(seed), world.valleys[valley].lanes, config.plane_speed)
-            for seed, valley in zip(seeds, self.valleys, strict=True)
+            Leg(np.random.default_rng(seed), world.places[place].lanes, config.plane_speed)
+            for seed, place in zip(seeds, self.places, strict=True)
         ]
         self._ways = Ways(self.legs)
 
@@ -140,6 +140,12 @@ class Traffic:
     def poses(self) -> np.ndarray:
         """X, y, z in metres and yaw in rad, in [-π, π], of all planes now: ``[K, 4]``."""
         return self._in_world(self._ways.poses(self._ways.flown[:, None])[:, 0])
+
+    def velocities(self) -> np.ndarray:
+        """The velocities of all planes, ``[K, 3]`` in m/s; near the end of a leg a plane is on it for the last time."""
+        ways, dt = self._ways, 0.01
+        ahead = ways.poses((ways.flown + ways.speed * dt)[:, None])[:, 0]
+        return (ahead - ways.poses(ways.flown[:, None])[:, 0])[:, :3] / dt
 
     def advance(self, steps: int, dt: float) -> np.ndarray:
         """Flies on by ``steps`` times ``dt`` s: x, y, z in m and yaw in rad after each, ``[steps, K, 4]``."""

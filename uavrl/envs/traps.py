@@ -243,7 +243,7 @@ def trapped(
 def ways_at(flight: FlightMap, level: float, radius: float) -> tuple[csr_array, np.ndarray]:
     """The ways at flight level between points of the map, and the nodes of its candidates."""
     space = flight.space
-    at = int(np.abs(space.z - level).argmin())
+    at = flight.at(level)
     allowed, clearance = flight.corridor[:, :, at], space.clearance[:, :, at]
 
     def weighed(here: Slices, there: Slices, apart: float) -> tuple[np.ndarray, np.ndarray]:

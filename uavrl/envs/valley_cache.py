@@ -27,7 +27,7 @@ from uavrl.runs.cache import FOLDER, MOST_BYTES, valley_folder
 log = logging.getLogger(__name__)
 _FORMAT = 1  # of a file
 # The code that a map depends on, beside what it imports from NumPy and SciPy.
-_CODE = ("lanes", "mesh", "obstacles", "tasks", "terrain", "traps", "world")
+_CODE = ("lanes", "mesh", "obstacles", "place", "rules", "tasks", "terrain", "traps", "valley")
 _ONBOARD = ("geometry", "mesh", "guards.map.grid")
 # What reading a damaged archive raises: a flipped bit may say that it is encrypted, or that an array is huge.
 _DAMAGED = (

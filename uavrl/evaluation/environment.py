@@ -1,20 +1,24 @@
 """The environment of a configuration, and what a network reads and writes there."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from torchrl.data import Bounded
-from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, Transform, TransformedEnv
+from torchrl.data import Bounded, Unbounded
+from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, TensorDictPrimer, Transform, TransformedEnv
 
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
+from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
+from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import UavrlError
+from uavrl.models.memory import RECURRENT_STATE
 from uavrl.transforms import PointCloudReduction
 from uavrl.transforms.guarded import GOAL_HEADING, Guarded
+from uavrl.transforms.privileged import PRIVILEGED, Privileged
 from uavrl_onboard.guards.settings import GuardSettings
 
 
@@ -26,6 +30,7 @@ class NetworkSizes:
     frames: int  # observations in a state
     actions: int  # numbers in an action
     limit: float  # the largest action; the smallest is its negative
+    privileged: int = 0  # numbers that the critics read beside the state
 
     def action_spec(self, device: torch.device | str) -> Bounded:
         """The bounds of one action."""
@@ -40,7 +45,9 @@ def network_sizes(env: EnvBase) -> NetworkSizes:
         raise UavrlError(f"Expected actions in [-a, a], got {spec}: scale them by a transform.")
     stacks = [t.N for t in inner_transforms(getattr(env, "transform", None)) if isinstance(t, CatFrames)]
     width = int(env.observation_spec["observation"].shape[-1])
-    return NetworkSizes(width, stacks[-1] if stacks else 1, int(spec.shape[-1]), limit)
+    privileged = env.observation_spec.get(PRIVILEGED, None)
+    more = 0 if privileged is None else int(privileged.shape[-1])
+    return NetworkSizes(width, stacks[-1] if stacks else 1, int(spec.shape[-1]), limit, more)
 
 
 def inner_transforms(transform: Transform | None) -> list[Transform]:
@@ -59,20 +66,24 @@ def make_env(
     num_uavs: int | None = None,
     keep_cloud: bool = False,
     mark_resets: bool = False,
+    recurrent_state: tuple[int, ...] | None = None,
+    critic_reads: Sequence[str] = (),
     guards: GuardSettings | None = None,
     kind: type[TransformedEnv] = TransformedEnv,
     **context: Any,
 ) -> TransformedEnv:
     """The environment with everything between what it emits and what the policy and the learner read.
 
-    ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins. ``guards`` are
-    put between the policy and the environment.
+    ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins. A
+    ``recurrent_state`` of this shape is carried from step to step, for a policy with a memory. What ``critic_reads``
+    names is emitted as ``privileged``. ``guards`` are put between the policy and the environment.
     """
     perception = with_sight(perception, guards)
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
     own = {**seen, **env, **several}
-    base = build(own, EnvBase, packages=packages, key="env", **context)
+    asked = [key for key in critic_reads if key in QUANTITIES]
+    base = build(own, EnvBase, packages=packages, key="env", privileged=asked, **context)
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
@@ -90,8 +101,14 @@ def make_env(
             require_keys(made, [(inner.in_keys, inner.out_keys) for inner in inner_transforms(transform)], part)
             made.append_transform(transform)
     require_keys(made, [(["observation"], [])], "policy")
-    if mark_resets:
+    if critic_reads:
+        require_keys(made, [(critic_reads, [])], "critic")
+        made.append_transform(Privileged(critic_reads, {key: QUANTITIES[key].divisor for key in asked}))
+    if mark_resets or recurrent_state is not None:
         made.append_transform(InitTracker())
+    if recurrent_state is not None:
+        spec = Unbounded(recurrent_state, dtype=torch.float32)
+        made.append_transform(TensorDictPrimer({RECURRENT_STATE: spec}, expand_specs=True))
     return made
 
 
@@ -109,9 +126,11 @@ def _guard(
             f"Guards read the scans of a valley, and {type(made.base_env).__name__} is none: choose guards=none."
         )
     if guards.shield is not None and guards.shield.nearest is None:
-        nearest = float(getattr(perception.get("lidar"), "min_range", 0.0))
+        nearest = float(getattr(perception.get("lidar"), "nearest", 0.0))
         guards = replace(guards, shield=replace(guards.shield, nearest=nearest))
-    vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level)
+    vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level, made.base_env.max_speed)
+    if isinstance(lidar := perception.get("lidar"), LidarConfig):
+        vehicle = replace(vehicle, lidar_elevations=lidar.device.field_of_view[2:])
     guarded = Guarded(guards, vehicle=vehicle)
     made.append_transform(guarded)
     if reward is None or reward[TARGET] is None or not guarded.leads:

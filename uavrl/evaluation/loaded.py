@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType, set_exploration_type
@@ -15,7 +15,9 @@ from uavrl.config import compose, validate
 from uavrl.entries import entry
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
+from uavrl.models.memory import IS_INIT, RECURRENT_STATE
 from uavrl.policy_protocol import PolicyModule
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 
@@ -25,6 +27,9 @@ _TAKEN = ("env", "randomize")
 
 class LoadedPolicy(PolicyModule):
     """Reads ``observation`` and writes ``action``, without exploration noise and without gradients.
+
+    One with a memory also reads ``is_init`` and ``recurrent_state``, and writes the next ``recurrent_state``; an
+    environment of :meth:`make_env` carries it from step to step.
 
     :func:`uavrl.load_policy` makes it. It acts wherever its network is, and answers where the observation is.
 
@@ -47,7 +52,11 @@ class LoadedPolicy(PolicyModule):
     ) -> None:
         super().__init__()
         self.inputs = inputs
-        self.in_keys, self.out_keys = ["observation"], ["action"]
+        self.in_keys: list[NestedKey] = list(actor.in_keys)
+        self.out_keys: list[NestedKey] = ["action"]
+        self.recurrent_state: tuple[int, int] | None = getattr(actor, "recurrent_state", None)
+        if self.recurrent_state is not None:
+            self.out_keys.append(("next", RECURRENT_STATE))
         self.actor, self.config, self.source = actor, config, dict(source)
         self.guards = GuardSettings()  # of the environments that make_env makes
 
@@ -61,9 +70,14 @@ class LoadedPolicy(PolicyModule):
             )
         weights = next(self.parameters(), observation)  # the host may compute elsewhere, and in another precision
         read = TensorDict({"observation": observation.to(weights)}, tensordict.batch_size)
+        if self.recurrent_state is not None:
+            read.set(IS_INIT, entry(tensordict, IS_INIT, self).to(weights.device))
+            read.set(RECURRENT_STATE, entry(tensordict, RECURRENT_STATE, self).to(weights))
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             acted = self.actor(read)
-        return tensordict.set("action", acted["action"].to(observation.device))
+        for key in self.out_keys:
+            tensordict.set(key, acted[key].to(observation.device))
+        return tensordict
 
     def make_env(
         self,
@@ -73,6 +87,7 @@ class LoadedPolicy(PolicyModule):
         seed: int = 20_000,
         keep_cloud: bool = False,
         guards: Any = None,
+        allow_unseen: bool = False,
     ) -> TransformedEnv:
         """An environment as that of its training, with the inputs and the reward that it was trained with.
 
@@ -86,9 +101,11 @@ class LoadedPolicy(PolicyModule):
             keep_cloud: whether it also gives the point clouds, and whether an episode begins.
             guards: filters between the policy and the environment: ``"all"``, ``"none"`` or a list of names, as
                 :func:`~uavrl_onboard.guards.settings.guard_settings` reads it. None: those of the policy.
+            allow_unseen: whether the policy may fly with a LiDAR that never sees some of its cells.
 
         Raises:
-            UavrlError: for a change that the policy cannot be asked to bear, and for an unknown guard.
+            UavrlError: for a change that the policy cannot be asked to bear, for an unknown guard, and for a LiDAR that
+                never sees some of the policy's cells.
 
         Examples:
             >>> from uavrl import load_policy
@@ -109,10 +126,12 @@ class LoadedPolicy(PolicyModule):
         run = validate(with_overrides(self.config, composed, list(changes)))
         if valleys is not None:
             require_valley(run.env, run.choices, "valleys")
-        if "world" in run.env and (valleys is not None or "env.world.seeds" not in keys):
+        unseen = "world" in run.env and run.env.world.VARIES and "env.world.seeds" not in keys
+        if valleys is not None or unseen:
             run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
         chosen = guard_settings(guards, self.guards)
         lidar = run.perception.get("lidar")
+        check_field_of_view(run.perception, trained_sensor(self.config), run.packages, allowed=allow_unseen)
         if lidar is not None and chosen.sight is not None and "perception.lidar.far_range" not in keys:
             run.perception["lidar"] = replace(lidar, far_range=max(lidar.far_range or 0.0, chosen.sight))
         context: dict[str, Any] = {
@@ -121,6 +140,7 @@ class LoadedPolicy(PolicyModule):
             "seed": seed,
             "keep_cloud": keep_cloud,
             "mark_resets": keep_cloud,
+            "recurrent_state": self.recurrent_state,
             "guards": chosen,
         }
         return make_env(run.env, run.perception, run.reward, **context)

@@ -21,15 +21,18 @@ def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str)
 def with_overrides(run_config: DictConfig, composed: DictConfig, overrides: list[str]) -> DictConfig:
     """The run's configuration with what the command line says about environment and sensor.
 
-    ``env=NAME`` replaces the environment, and ``randomize=NAME`` all of ``env.randomize``; ``env.key=value``,
-    ``perception.lidar.key=value``, ``perception.blind=value`` and ``perception.blind_to=value``
-    change one value. The rest of perception makes the policy's input: it stays.
+    ``env=NAME`` replaces the environment, but for its sensor and its speed, and ``randomize=NAME`` all of
+    ``env.randomize``; ``env.key=value``, ``perception.lidar.key=value``, ``perception.blind=value`` and
+    ``perception.blind_to=value`` change one value. The rest of perception makes the policy's input: it stays.
     """
     result = run_config.copy()
     result.packages = composed.packages  # whom the one trusts who runs this, whatever the file says
     keys = keys_of(overrides)
     if "env" in keys:
-        result.env = composed.env
+        limit = OmegaConf.select(result, "env.max_speed")
+        result.env = composed.env  # whose lidar is null: the run's sensor stays
+        if limit is not None and "max_speed" in result.env and "env.max_speed" not in keys:
+            result.env.max_speed = limit
         result.choices.env = composed.choices.env
         _require_env_of_policy(result)
     if "randomize" in keys:

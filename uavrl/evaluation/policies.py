@@ -20,6 +20,8 @@ from uavrl.config.parts import Part
 from uavrl.config.settings import EvaluateConfig, FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
+from uavrl.evaluation.worlds import TRAINING, UNSEEN, unseen_seeds, without_variety
+from uavrl.runs.labels import label
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.policy.contract import CONTRACT, read_contract
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from uavrl.policy_protocol import TensorDictPolicy
 
 PACKAGED = Path(__file__).parents[1] / "policies" / "data"  # what `policy=NAME` names, beside the baselines
+SENSOR = "perception.lidar.sensor"
 EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
 BASELINES = {
     "straight": "uavrl.policies.baselines.StraightPolicy",
@@ -66,7 +69,12 @@ class PolicySetup:
     def env_options(self) -> dict[str, Any]:
         """Options of :func:`~uavrl.evaluation.environment.make_env`: guards, and what makes it emit the ``in_keys``."""
         read = self.policy.in_keys
-        return {"keep_cloud": "point_cloud" in read, "mark_resets": "is_init" in read, "guards": self.guards}
+        return {
+            "keep_cloud": "point_cloud" in read,
+            "mark_resets": "is_init" in read,
+            "recurrent_state": getattr(self.policy, "recurrent_state", None),
+            "guards": self.guards,
+        }
 
 
 def choose(
@@ -88,12 +96,48 @@ def choose(
         chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
     else:
         policy = read_policy(folder, settings.checkpoint, device, settings.packages)
-        run = validate(with_overrides(policy.config, config, overrides))
-        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, policy.source, run)
-    if settings.valleys is not None:
-        require_valley(chosen.env, chosen.choices, "valleys")
-        chosen.env["world"] = replace(chosen.env.world, seeds=settings.valleys)
+        changed = with_overrides(policy.config, config, overrides)
+        if settings.valleys != TRAINING:
+            changed = without_variety(changed, config, keys_of(overrides))
+        run = validate(changed)
+        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, dict(policy.source), run)
+        chosen.source["label"] = f"{label(run.choices)}, seed {run.seed}"
+        trained = policy.config.env.get("world")
+        if trained is not None and "world" in chosen.env:
+            chosen.source["training_valleys"] = list(trained.seeds)
+    chosen = _in_view(chosen, settings, policy)
+    _choose_valleys(chosen, settings, keys_of(overrides))
     return _guarded(chosen, settings, keys_of(overrides), default_guards(folder, policy))
+
+
+def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collection[str]) -> None:
+    """Puts the valleys that the command line asks for into the environment, or else those that no training used."""
+    if settings.valleys == TRAINING or (settings.valleys == UNSEEN and "env.world.seeds" in given):
+        return
+    if settings.valleys != UNSEEN:
+        require_valley(chosen.env, chosen.choices, "valleys")
+    if "world" in chosen.env and (chosen.env.world.VARIES or settings.valleys != UNSEEN):
+        unseen = unseen_seeds(chosen.source.get("training_valleys", ()))
+        seeds = unseen if settings.valleys == UNSEEN else settings.valleys
+        chosen.env["world"] = replace(chosen.env.world, seeds=seeds)
+
+
+def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPolicy) -> PolicySetup:
+    """The same policy, whose LiDAR has been found to see its cells; its source says which LiDAR is another one."""
+    from uavrl.evaluation.field_of_view import TRAINED_WITH, check_field_of_view, trained_sensor
+
+    if (lidar := chosen.perception.get("lidar")) is None:
+        return chosen
+    trained_with = None
+    if chosen.run is not None:
+        trained_with = trained_sensor(policy.config)  # type: ignore[attr-defined]  # of a run it is a LoadedPolicy
+    elif policy.overrides is not None:
+        trained_with = policy.overrides.get(SENSOR, TRAINED_WITH)
+    allowed = settings.allow_unseen
+    unseen = check_field_of_view(chosen.perception, trained_with, settings.packages, allowed=allowed)
+    if lidar.device.name == TRAINED_WITH:
+        return chosen
+    return replace(chosen, source={**chosen.source, "lidar": lidar.device.name, "unseen_cells": unseen})
 
 
 def default_guards(folder: Path | None, policy: TensorDictPolicy | None = None) -> GuardSettings:

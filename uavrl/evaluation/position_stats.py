@@ -14,7 +14,7 @@ class PositionStats:
     """Collects the positions at the end of each step.
 
     Args:
-        world: its edges, ``|x| = size[0] / 2`` and ``|y| = size[1] / 2`` of each valley, are the walls that distances
+        world: its edges, ``|x| = size[0] / 2`` and ``|y| = size[1] / 2`` of each place, are the walls that distances
             are measured to. Their slopes reach inwards from them.
 
     Examples:
@@ -27,7 +27,7 @@ class PositionStats:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._origins = np.stack([valley.origin for valley in world.valleys])
+        self._origins = np.stack([valley.origin for valley in world.places])
         self._seen = [np.zeros((0, 3))]
 
     def add(self, positions: np.ndarray) -> None:
@@ -38,9 +38,9 @@ class PositionStats:
         """:func:`summarize_places` of all of them."""
         positions = np.concatenate(self._seen)
         config = self._world.config
-        apart = np.linalg.norm(positions[:, None, :2] - self._origins, axis=-1)
-        inside = np.abs(positions[:, :2] - self._origins[apart.argmin(1)])
-        walls = (np.array(config.size) / 2 - inside).min(1)
+        nearest = np.linalg.norm(positions[:, None, :2] - self._origins, axis=-1).argmin(1)
+        inside = np.abs(positions[:, :2] - self._origins[nearest])
+        walls = (np.array([place.size for place in self._world.places])[nearest] / 2 - inside).min(1)
         shares = (positions[:, 2] - self._world.ground_height(positions[:, :2])) / config.ceiling
         return summarize_places(positions[:, 2], shares, walls)
 
@@ -83,12 +83,13 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
     return {f"p{p}": float(value) for p, value in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
-def position_lines(found: dict[str, Any]) -> list[str]:
-    """A summary as lines for a person."""
+def position_texts(found: dict[str, Any]) -> dict[str, str]:
+    """A summary as text for a person, by its name."""
     of = {key: " / ".join(f"{found[key][f'p{p}']:.2f}" for p in PERCENTILES) for key in ("altitude", "wall_distance")}
     quarters = " / ".join(f"{100 * share:.0f}" for share in found["height_quarters"])
-    return [
-        f"{'altitude, 5 / 50 / 95 % of the steps [m]':<48}{of['altitude']}",
-        f"{'nearest wall, 5 / 50 / 95 % of the steps [m]':<48}{of['wall_distance']}",
-        f"{'time in quarters of the height, lowest first':<48}{quarters} %",
-    ]
+    percentiles = f"m ({' / '.join(f'{p}th' for p in PERCENTILES)} percentile)"
+    return {
+        "altitude": f"{of['altitude']} {percentiles}",
+        "distance to the nearest edge of the valley": f"{of['wall_distance']} {percentiles}",
+        "share of time by height": f"{quarters} % (lowest / second / third / highest quarter)",
+    }

@@ -10,13 +10,15 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.envs import TransformedEnv
 
+from uavrl.envs.mesh import decimated
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
+from uavrl.envs.rules import Solid, Standing
 from uavrl.envs.traffic import plane_mesh
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
 from uavrl.evaluation.position_stats import PositionStats
 from uavrl.evaluation.recording import RecordedFlight, Recording, Scenery, thinned
-from uavrl.evaluation.rollout import EpisodeMeter, rollout
+from uavrl.evaluation.rollout import EpisodeMeter, rollout, speed_limit
 from uavrl.policy_protocol import Acts
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms import PointCloudReduction
@@ -27,20 +29,22 @@ from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.motion import OBJECT
 
 Risk = Callable[[Tensor, Tensor], Tensor]
+MOST_TRIANGLES = 200_000  # of each thing that stands in a place, in a picture
 NONE = np.zeros((0, len(OBJECT)), np.float32)
 _KEPT = ("position", "velocity", "distance", "clearance", "observation")
 
 
-def make_scenery(world: World, valley: int, reduction: PointCloudReduction, sensor: Sequence[float]) -> Scenery:
-    """The valley with an index, as numbers to draw."""
-    place, config = world.valleys[valley], world.config
-    names = tuple(sorted({obstacle.kind for obstacle in place.obstacles}))
-    merged = Mesh.merge(obstacle.mesh for obstacle in place.obstacles)
-    kinds = [np.full(len(obstacle.mesh.faces), names.index(obstacle.kind)) for obstacle in place.obstacles]
+def make_scenery(world: World, number: int, reduction: PointCloudReduction, sensor: Sequence[float]) -> Scenery:
+    """The place with an index, as numbers to draw."""
+    place, config = world.places[number], world.config
+    shown = [_shown(obstacle, config.ceiling, place.ground is None) for obstacle in place.obstacles]
+    names = tuple(sorted({obstacle.kind for obstacle in shown}))
+    merged = Mesh.merge(obstacle.mesh for obstacle in shown)
+    kinds = [np.full(len(obstacle.mesh.faces), names.index(obstacle.kind)) for obstacle in shown]
     plane = plane_mesh(config.plane_wingspan)
     return Scenery(
-        heights=place.ground.heights,
-        size=np.array(place.ground.size),
+        heights=np.zeros((0, 0)) if place.ground is None else place.ground.heights,
+        size=np.array(place.floor.size),
         vertices=merged.vertices,
         triangles=merged.faces,
         kinds=np.concatenate([np.zeros(0, dtype=int), *kinds]),
@@ -55,6 +59,15 @@ def make_scenery(world: World, valley: int, reduction: PointCloudReduction, sens
     )
 
 
+def _shown(standing: Standing, ceiling: float, is_ground: bool) -> Solid:
+    """What a picture shows of something: nothing that lies over the ceiling and would hide what is below it."""
+    mesh = standing.mesh
+    if is_ground or standing.kind == "ceiling":
+        lowest = mesh.vertices[mesh.faces][..., 2].min(1)
+        mesh = Mesh(mesh.vertices, mesh.faces[lowest < ceiling])
+    return Solid(standing.kind, decimated(mesh, MOST_TRIANGLES))
+
+
 def record_flight(
     env: TransformedEnv, policy: Acts, task: int, *, seed: int, risk: Risk | None = None, max_points: int = 1500
 ) -> RecordedFlight:
@@ -66,9 +79,9 @@ def record_flight(
     env.set_seed(seed)
     state = env.reset(task=task)
     goal = state["goal"][0].numpy()
-    origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.valleys])
+    origins = np.stack([np.append(valley.origin, 0.0) for valley in base.world.places])
     valley = int(np.linalg.norm(origins - goal, axis=1).argmin())
-    meter, reduction = EpisodeMeter(1), reduction_of(env)
+    meter, reduction = EpisodeMeter(1, speed_limit(env)), reduction_of(env)
     terms = terms_of(env) or (lambda before, after: {"reward": after["reward"]})
     moments, actions, paid = [_moment(base, state, valley, reduction, max_points)], [], []
     for stepped in rollout(env, policy, state):
@@ -176,7 +189,7 @@ def record_flights(
     seen = {flight.summary.world_seed for flight in flights}
     sceneries = {
         valley.seed: make_scenery(world, i, reduction_of(env), sensor)
-        for i, valley in enumerate(world.valleys)
+        for i, valley in enumerate(world.places)
         if valley.seed in seen
     }
     return Recording(source, flights, sceneries)

@@ -56,7 +56,8 @@ class RecordedFlight:
 class Scenery:
     """What stands in one valley, in the valley's own frame, and the bodies that fly in it."""
 
-    heights: np.ndarray  #: ``[X, Y]``, the ground in m over a regular grid around the origin
+    #: ``[X, Y]``, the ground in m over a regular grid around the origin; ``[0, 0]`` where the obstacles hold it
+    heights: np.ndarray
     size: np.ndarray  #: ``[2]``, extent along x and y in m
     vertices: np.ndarray  #: ``[V, 3]``, corners of all obstacles in m
     triangles: np.ndarray  #: ``[F, 3]``, their triangles

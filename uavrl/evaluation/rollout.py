@@ -9,12 +9,13 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase, step_mdp
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from uavrl.evaluation.interventions import interventions
 from uavrl.evaluation.smoothness import action_change, yaw_reversals
 from uavrl.policy_protocol import Acts
 from uavrl.runs.episodes import outcome
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.transforms.guarded import FLOWN
-from uavrl.transforms.state import ACTION_LIMIT
+from uavrl_onboard.vehicle import VEHICLE
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,11 @@ class EpisodeResult:
     #: episode of one step
     action_change: list[float] | None = None
     yaw_reversals: float | None = None  #: share of the steps that reverse the yaw rate, None in other environments
+    guard_share: float | None = None  #: share of the steps in which guards changed the velocity, None without guards
+    guard_change: float | None = None  #: mean change of the velocity in these steps in m/s, None without one
+    #: mean width of the free space along the task's shortest way, in m (:class:`uavrl.envs.difficulty.Difficulty`)
+    spacing: float | None = None
+    detour: float | None = None  #: length of that way over that of the way without any obstacle
 
     @property
     def path_efficiency(self) -> float | None:
@@ -60,14 +66,21 @@ def rollout(env: EnvBase, policy: Acts, state: TensorDictBase) -> Iterator[Tenso
         state = env.maybe_reset(step_mdp(stepped))
 
 
+def speed_limit(env: EnvBase) -> float:
+    """The limit of each component of the velocity in m/s; of other environments, which have none, the default."""
+    return float(getattr(getattr(env, "base_env", env), "max_speed", VEHICLE.velocity_limit))
+
+
 class EpisodeMeter:
     """Follows each of ``count`` vehicles from reset to done."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, max_speed: float = VEHICLE.velocity_limit) -> None:
+        self._limits = np.array([max_speed] * 3 + [VEHICLE.yaw_rate_limit])
         self._steps = np.zeros(count, dtype=int)
         self._return, self._flown = np.zeros(count), np.zeros(count)
         self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
-        self._actions: list[list[np.ndarray]] = [[] for _ in range(count)]
+        self._actions: list[list[np.ndarray]] = [[] for _ in range(count)]  # that were flown
+        self._asked: list[list[np.ndarray]] = [[] for _ in range(count)]  # by the policy, where guards fly
 
     def step(self, stepped: TensorDictBase) -> list[EpisodeResult]:
         """Takes in one step of all vehicles; returns the episodes that it ended."""
@@ -77,16 +90,21 @@ class EpisodeMeter:
         new = self._steps == 0
         self._return = np.where(new, 0.0, self._return) + after["reward"].double().numpy()[:, 0]
         self._steps += 1
-        taken = after.get(FLOWN, before["action"])
-        actions = taken.double().numpy().reshape(len(self._actions), -1)
-        for kept, action in zip(self._actions, actions, strict=True):
-            kept.append(action)
+        flown = after.get(FLOWN, None)
+        self._keep(self._actions, before["action"] if flown is None else flown)
+        if flown is not None:
+            self._keep(self._asked, before["action"])
         ended = np.flatnonzero(after["done"].numpy()[:, 0]).tolist()
         results = [self._result(i, after[i]) for i in ended]
         self._steps[ended] = 0
         for i in ended:
-            self._actions[i] = []
+            self._actions[i], self._asked[i] = [], []
         return results
+
+    @staticmethod
+    def _keep(kept: list[list[np.ndarray]], actions: torch.Tensor) -> None:
+        for own, action in zip(kept, actions.double().numpy().reshape(len(kept), -1), strict=True):
+            own.append(action)
 
     def _measure(self, before: TensorDictBase, after: TensorDictBase) -> None:
         position, next_position = before["position"].double().numpy(), after["position"].double().numpy()
@@ -102,9 +120,15 @@ class EpisodeMeter:
         if last.get("clearance", None) is None:
             paid = float(last.get("episode_reward", self._return[i]))
             return replace(result, episode_return=paid, action_change=action_change(actions))
-        actions = actions.clip(-ACTION_LIMIT, ACTION_LIMIT)  # as the vehicle takes them
+        actions = actions.clip(-self._limits, self._limits)  # as the vehicle takes them
+        share, change = None, None
+        if self._asked[i]:
+            asked = np.stack(self._asked[i]).clip(-self._limits, self._limits)
+            share, change = interventions(asked[:, :3], actions[:, :3])
         return replace(
             result,
+            guard_share=share,
+            guard_change=change,
             action_change=action_change(actions),
             yaw_reversals=yaw_reversals(actions),
             world_seed=int(last["world_seed"].item()),
@@ -125,7 +149,7 @@ def episodes_as_they_end(
         episodes: number of tasks.
         watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
     """
-    meter, left = EpisodeMeter(env.batch_size.numel()), episodes
+    meter, left = EpisodeMeter(env.batch_size.numel(), speed_limit(env)), episodes
     state = env.reset()
     if state["task"].min() != 0:
         raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")

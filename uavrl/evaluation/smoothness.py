@@ -1,6 +1,6 @@
 """How smoothly a policy acts: how much its action changes from one step to the next, and how often its yaw reverses."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -81,15 +81,24 @@ def smoothness_texts(change: Sequence[float] | None, reversals: float | None) ->
     """What was measured as text for a person, by its name; nothing where nothing was.
 
     Examples:
-        >>> smoothness_texts([0.21, 0.05, 0.02, 0.4], 0.06)["steps that reverse the yaw rate"]
-        '6.0 %'
+        >>> smoothness_texts([0.21, 0.05, 0.02, 0.4], 0.06)["mean change of the action per step"]
+        '0.21 / 0.05 / 0.02 m/s (forward / left / up), 0.40 rad/s (yaw rate)'
     """
     if change is None:
         return {}
-    told = {"mean change of the action per step": change_text(change, reversals)}
-    return told if reversals is None else told | {"steps that reverse the yaw rate": f"{100 * reversals:.1f} %"}
+    name = "mean change of the action per step"
+    if reversals is None:
+        return {name: change_text(change, None)}
+    velocity, _, turning = change_text(change, reversals).partition(", ")
+    told = {name: f"{velocity} (forward / left / up), {turning} (yaw rate)"}
+    return told | {"steps that reverse the yaw rate": f"{100 * reversals:.1f} %"}
 
 
-def smoothness_lines(change: Sequence[float] | None, reversals: float | None) -> list[str]:
-    """:func:`smoothness_texts` as lines."""
-    return [f"{name:<48}{text}" for name, text in smoothness_texts(change, reversals).items()]
+def aligned(texts: Iterable[tuple[str, str]]) -> list[str]:
+    """Names and texts as lines whose texts begin in one column.
+
+    Examples:
+        >>> aligned([("steps per success", "104.25")])
+        ['steps per success                               104.25']
+    """
+    return [f"{name:<48}{text}" for name, text in texts]

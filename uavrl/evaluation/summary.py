@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,25 +11,32 @@ import yaml
 
 from uavrl.config.yaml_files import conf_dir
 from uavrl.errors import UavrlError
-from uavrl.evaluation.position_stats import position_lines
-from uavrl.evaluation.smoothness import smoothness_lines, summarize_smoothness
-from uavrl.runs.episodes import LETTERS, RATES, wilson
-from uavrl_onboard.pluralize import pluralize
+from uavrl.evaluation.interventions import intervention_texts, summarize_interventions
+from uavrl.evaluation.position_stats import position_texts
+from uavrl.evaluation.smoothness import aligned, smoothness_texts, summarize_smoothness
+from uavrl.runs.episodes import LETTERS, RATES, rate_cell, rate_text, success_text, wilson
 from uavrl_onboard.sentences import did_you_mean
 
 if TYPE_CHECKING:
+    from uavrl.envs.difficulty import Difficulty
     from uavrl.evaluation.rollout import EpisodeResult
 
 LABELS = {
-    "path_efficiency": "path efficiency (straight / flown, successes)",
-    "median_clearance": "minimum clearance, median over successes [m]",
-    "min_clearance": "minimum clearance, least of all successes [m]",
-    "mean_return": "return, mean",
-    "sd_return": "return, standard deviation",
-    "median_return": "return, median",
-    "steps_per_episode": "steps per episode",
-    "steps_per_arrival": "steps per success",
+    "path_efficiency": ("path efficiency (straight line over path flown)", ""),
+    "median_clearance": ("median of the successes' minimum clearance", " m"),
+    "min_clearance": ("least clearance of all successes", " m"),
+    "mean_return": ("mean return", ""),
+    "sd_return": ("standard deviation of the return", ""),
+    "median_return": ("median return", ""),
+    "steps_per_episode": ("steps per episode", ""),
+    "steps_per_arrival": ("steps per success", ""),
 }
+"""What a summary's numbers are called, and their units."""
+OTHERS = [name for name in RATES if name != "success"]
+FEWEST = 10  # episodes in a valley whose success rate is printed
+DIFFICULTY = {"detour": ("detour", ""), "spacing": ("free width", " m")}
+"""What tells how hard a task is: its label and its unit."""
+LEAST_TASKS = 9  # of which three parts are told
 
 
 def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
@@ -37,7 +45,8 @@ def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
     Path efficiency is the mean over successes; the minimum clearance (hull to nearest thing) is given as the median
     over successes and as the least of them; what has no value without them is ``None``. Several valleys are also
     counted one by one, by their seed. ``outcomes`` has a letter for each episode: success, collision or time-out.
-    ``action_change`` and ``yaw_reversals`` are over all steps (:mod:`uavrl.evaluation.smoothness`).
+    ``action_change`` and ``yaw_reversals`` are over all steps (:mod:`uavrl.evaluation.smoothness`), as are
+    ``guard_share`` and ``guard_change`` where guards flew (:mod:`uavrl.evaluation.interventions`).
 
     Examples:
         >>> from uavrl.evaluation.rollout import EpisodeResult
@@ -69,8 +78,35 @@ def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
         result["min_clearance"] = min(clearances) if arrived else None
     result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
     result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
+    for quantity in DIFFICULTY:
+        if (thirds := _thirds(quantity, flights)) is not None:
+            result[f"success_by_{quantity}"] = thirds
     smoothness = [(flight.steps, flight.action_change, flight.yaw_reversals) for flight in flights]
-    return result | summarize_smoothness(*zip(*smoothness, strict=True))
+    guarded = [(flight.steps, flight.guard_share, flight.guard_change) for flight in flights]
+    result |= summarize_smoothness(*zip(*smoothness, strict=True))
+    return result | summarize_interventions(*zip(*guarded, strict=True))
+
+
+def with_difficulty(flights: Sequence[EpisodeResult], measured: Sequence[Difficulty | None]) -> list[EpisodeResult]:
+    """The episodes with the difficulty of their tasks."""
+    pairs = zip(flights, measured, strict=True)
+    return [flight if each is None else replace(flight, **each._asdict()) for flight, each in pairs]
+
+
+def _thirds(quantity: str, flights: Sequence[EpisodeResult]) -> list[dict[str, float]] | None:
+    """Success in three equal parts of the tasks, in the order of a quantity; None for few tasks without any."""
+    known = sorted(
+        ((value, flight) for flight in flights if (value := getattr(flight, quantity)) is not None),
+        key=lambda pair: pair[0],
+    )
+    if len(known) < LEAST_TASKS:
+        return None
+    found = []
+    for part in range(3):
+        tasks = known[part * len(known) // 3 : (part + 1) * len(known) // 3]
+        solved = [flight.outcome for _, flight in tasks].count("arrived")
+        found.append({"least": tasks[0][0], "most": tasks[-1][0], "episodes": len(tasks), **wilson(solved, len(tasks))})
+    return found
 
 
 def _success_in(valley: int, flights: Sequence[EpisodeResult]) -> dict[str, float]:
@@ -78,30 +114,39 @@ def _success_in(valley: int, flights: Sequence[EpisodeResult]) -> dict[str, floa
     return {"episodes": len(there), **wilson(there.count("arrived"), len(there))}
 
 
-def _number(value: float | None, form: str) -> str:
+def _number(value: float | None, form: str, unit: str = "") -> str:
     """A value as text, a dash where there is none."""
-    return "–" if value is None else format(value, form)
-
-
-def reached(result: Mapping[str, Any]) -> str:
-    """The share of solved tasks, in a sentence."""
-    success = {name: f"{100 * share:.1f}" for name, share in result["success"].items()}
-    tasks = pluralize(result["episodes"], "fixed task")
-    return f"Solved: {success['rate']} % of {tasks} ({success['low']}-{success['high']} %)."
+    return "–" if value is None else f"{value:{form}}{unit}"
 
 
 def table(result: Mapping[str, Any]) -> str:
-    """A summary as text for a person."""
-    lines = [f"{'outcome':<12}{'rate':>8}   95 % interval (Wilson), {pluralize(result['episodes'], 'episode')}"]
-    for name in RATES:
-        rate = result[name]
-        lines.append(f"{name:<12}{rate['rate']:>8.1%}   {rate['low']:.1%} – {rate['high']:.1%}")
-    lines += [f"{label:<46}{_number(result[key], '.2f'):>8}" for key, label in LABELS.items() if key in result]
-    lines += smoothness_lines(result.get("action_change"), result.get("yaw_reversals"))
-    for valley, success in result.get("success_by_valley", {}).items():
-        interval = f"{success['low']:.1%} – {success['high']:.1%}, {pluralize(success['episodes'], 'episode')}"
-        lines.append(f"{f'success in valley {valley}':<46}{success['rate']:>8.1%}   {interval}")
-    return "\n".join([*lines, *(position_lines(result["position_stats"]) if "position_stats" in result else [])])
+    """A summary as text for a person; its last line is the success rate."""
+    lines = [(f"{name.replace('_', '-')} rate", rate_text(result[name], result["episodes"])) for name in OTHERS]
+    lines += [(name, _number(result[key], ".2f", unit)) for key, (name, unit) in LABELS.items() if key in result]
+    lines += smoothness_texts(result.get("action_change"), result.get("yaw_reversals")).items()
+    lines += intervention_texts(result.get("guard_share"), result.get("guard_change")).items()
+    lines += position_texts(result["position_stats"]).items() if "position_stats" in result else []
+    lines += _third_lines(result)
+    lines += _valley_lines(result.get("success_by_valley", {}))
+    return "\n".join([*aligned(lines), success_text(result["success"], result["episodes"])])
+
+
+def _valley_lines(valleys: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """The success rates of valleys with episodes enough, and the number of the others."""
+    enough = {seed: found for seed, found in valleys.items() if found["episodes"] >= FEWEST}
+    lines = [(f"success in valley {seed}", rate_text(found, found["episodes"])) for seed, found in enough.items()]
+    few = len(valleys) - len(enough)
+    return lines + ([("valleys with fewer than ten tasks", f"{few}, whose rates are in the file")] if few else [])
+
+
+def _third_lines(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The success rates of easy, middling and hard tasks."""
+    lines = []
+    for quantity, (name, unit) in DIFFICULTY.items():
+        for third in result.get(f"success_by_{quantity}", ()):
+            told = f"success, {name} {third['least']:.2f} to {third['most']:.2f}{unit}"
+            lines.append((told, rate_text(third, third["episodes"])))
+    return lines
 
 
 def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
@@ -118,20 +163,26 @@ def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
 
 
 def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """The rates of each scenario with their Wilson 95 % intervals, steps and clearance of successes, and smoothness.
+    """The rates of each scenario, steps and clearance of its successes, and smoothness.
 
-    The yaw change is the mean absolute change of the yaw rate per step in rad/s, reversals are of the yaw rate.
+    The change is the mean absolute change of the yaw rate from step to step; reversals are of the yaw rate;
+    guarded is the share of steps in which guards changed the velocity. The success by detour is that in the third of
+    the tasks with the least detour, in the next third and in the last.
     """
-    heads = f"{'collision':>12}{'time-out':>10}{'steps per success':>19}{'clearance':>11}"
-    heads += f"{'yaw change':>12}{'reversals':>11}"
-    lines = [f"{'scenario':<13}{'success':>11}  {'(95 %)':<11}{heads}"]
+    heads = ["success, % (95 % CI)", "collision, %", "time-out, %", "steps per success", "clearance, m"]
+    heads += ["yaw rate change, rad/s", "reversals, %", "guarded, %", "by detour, %"]
+    lines = [f"{'scenario':<14}" + "  ".join(heads)]
     for name, result in results.items():
-        success, collision, time_out = (result[key] for key in RATES)
-        interval = f"{100 * success['low']:.1f}–{100 * success['high']:.1f}"
-        steps = _number(result["steps_per_arrival"], ".0f")
-        clearance = _number(result["median_clearance"], ".2f")
-        rates = f"{success['rate']:>11.1%}  {interval:<11}{collision['rate']:>12.1%}{time_out['rate']:>10.1%}"
-        change = _number((result.get("action_change") or [None])[-1], ".2f")
-        reversals = _number(result.get("yaw_reversals"), ".1%")
-        lines.append(f"{name:<13}{rates}{steps:>19}{clearance:>11}{change:>12}{reversals:>11}")
+        shares = [result.get(key) for key in ("yaw_reversals", "guard_share")]
+        others = [100 * result[key]["rate"] for key in OTHERS]
+        cells = (
+            rate_cell(result["success"]),
+            *(f"{share:.1f}" for share in others),
+            _number(result["steps_per_arrival"], ".0f"),
+            _number(result["median_clearance"], ".2f"),
+            _number((result.get("action_change") or [None])[-1], ".2f"),
+            *(_number(None if share is None else 100 * share, ".1f") for share in shares),
+            " / ".join(f"{100 * each['rate']:.0f}" for each in result.get("success_by_detour", ())) or "–",
+        )
+        lines.append(f"{name:<14}" + "  ".join(f"{c:>{len(h)}}" for c, h in zip(cells, heads, strict=True)))
     return "\n".join(lines)

@@ -16,12 +16,14 @@ from torchrl.envs import CatFrames, EnvBase, Transform
 
 from uavrl.config import TrainConfig, validate
 from uavrl.config.build import TARGET, build, find_class
-from uavrl.envs import Airframe, NavigationEnv
+from uavrl.envs import Airframe, LidarConfig, NavigationEnv
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import POLICY_INFO, load_actor
 from uavrl.evaluation.environment import inner_transforms
-from uavrl.export.onnx_export import INPUT, OUTPUT, opset_of, policy_onnx
+from uavrl.export.model_card import STATEMENTS, read_statements, write_card
+from uavrl.export.onnx_export import INPUT, MEMORY_INPUT, MEMORY_OUTPUT, OUTPUT, opset_of, policy_onnx
+from uavrl.models.memory import RecurrentPolicy
 from uavrl.runs.names import CONFIG
 from uavrl.runs.provenance import versions
 from uavrl.runs.weights import POLICY
@@ -34,11 +36,11 @@ from uavrl.transforms import (
     RangeImage,
     Threats,
 )
-from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS
+from uavrl.transforms.state import REDUCTIONS
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, Contract
-from uavrl_onboard.policy.contract_parts import Cells, Cloud, GuardTerms, MotionTerms, Network
+from uavrl_onboard.policy.contract_parts import Cells, Cloud, GuardTerms, LidarTerms, MemoryTerms, MotionTerms, Network
 
 log = logging.getLogger(__name__)
 
@@ -52,7 +54,7 @@ def export_policy(
     network: bool = True,
     guards: GuardSettings | None = None,
 ) -> dict[str, Any]:
-    """Writes ``config.yaml``, the weights with ``policy.json``, and ``contract.json`` where there is one.
+    """Writes ``config.yaml``, the weights with ``policy.json``, a model card, and ``contract.json`` where there is one.
 
     With the contract goes ``policy.onnx`` if ``network``; where it cannot be made, a warning says why. ``guards`` are
     those that the policy flies with by default. The policy is
@@ -62,6 +64,7 @@ def export_policy(
     about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
     if POLICY.is_in(output) or (output / CONFIG).exists():
         raise UavrlError(f"The folder {output} already contains a policy or a run: choose another with output=FOLDER.")
+    read_statements(folder)
     writable(output / POLICY.json, "output=FOLDER")
     config.run_dir = Path(str(config.run_dir)).name
     with replacing(output / CONFIG) as partial:
@@ -72,6 +75,10 @@ def export_policy(
         terms = terms.model_copy(update={"network": _write_network(output, actor, terms) if network else None})
         with replacing(output / CONTRACT) as partial:
             partial.write_text(terms.sealed().to_text(), encoding="utf-8")
+    if (folder / STATEMENTS).is_file():
+        with replacing(output / STATEMENTS) as partial:
+            partial.write_bytes((folder / STATEMENTS).read_bytes())
+    write_card(output, output.resolve().name, evaluated=folder)
     return saved
 
 
@@ -85,7 +92,16 @@ def _write_network(output: Path, actor: TensorDictModuleBase, terms: Contract) -
     with replacing(output / NETWORK) as partial:
         partial.write_bytes(content)
     digest = hashlib.sha256(content).hexdigest()
-    return Network(file=NETWORK, sha256=digest, opset=opset_of(content), input=INPUT, output=OUTPUT)
+    memory = None
+    if isinstance(actor, RecurrentPolicy):
+        memory = MemoryTerms(input=MEMORY_INPUT, output=MEMORY_OUTPUT, size=actor.memory.size)
+    return Network(file=NETWORK, sha256=digest, opset=opset_of(content), input=INPUT, output=OUTPUT, memory=memory)
+
+
+def _lidar(settings: TrainConfig) -> LidarTerms:
+    """Return what the contract says about the LiDAR of the training."""
+    device = (settings.perception.get("lidar") or LidarConfig()).device
+    return LidarTerms(name=device.name, field_of_view=device.field_of_view)
 
 
 def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings | None = None) -> Contract | None:
@@ -115,16 +131,16 @@ def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings |
         motion = MotionTerms.of(seen.max_range, seen.objects, seen.period, parts[Threats].speed)
     x, y, z = map(float, position)
     return Contract.of(
-        Cloud.of(reduction.radius, (x, y, z), bool(settings.perception.get("blind"))),
+        Cloud.of(reduction.radius, (x, y, z), bool(settings.perception.get("blind")), _lidar(settings)),
         Cells.of(name, reduction.radius, reduction.statistic, *grid),
         weights_sha256=weights_sha256,
         rate_hz=CONTROL_RATE,
         flight_level=scaled.flight_level,
         angles=scaled.angles,
         frames=next(part.N for part in parts.values() if isinstance(part, CatFrames)),
-        action_limit=ACTION_LIMIT,
+        action_limit=state.max_speed,
         last_action=LastAction in parts,
         motion=motion,
-        guards=GuardTerms.of(guards or GuardSettings(), airframe.vehicle(scaled.flight_level)),
+        guards=GuardTerms.of(guards or GuardSettings(), airframe.vehicle(scaled.flight_level, state.max_speed)),
         versions=versions(),
     )

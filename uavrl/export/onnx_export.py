@@ -1,10 +1,13 @@
-"""A policy's network as ONNX: from the state to the action, for programs without PyTorch."""
+"""A policy's network as ONNX: from the state to the action, for programs without PyTorch.
+
+The network of a policy with a memory also takes what it remembers, and gives what it remembers next.
+"""
 
 from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
 from typing import Any
@@ -17,10 +20,12 @@ from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from uavrl.errors import UavrlError
+from uavrl.models.memory import IS_INIT, MEMORY, RECURRENT_STATE, RecurrentPolicy
 
 OPSET = 18  # that PyTorch exports to; the file names the oldest that defines the same operators
 FUNCTIONS = 8  # the oldest IR version in which a model may hold functions of its own
 INPUT, OUTPUT = "state", "action"
+MEMORY_INPUT, MEMORY_OUTPUT = "memory", "next_memory"
 TRIED, TOLERANCE = 32, 1e-5  # states in which what was exported must act as the policy does
 LEFT_OUT = "policy.onnx is left out"
 
@@ -34,9 +39,23 @@ class _MeanAction(nn.Module):
         self.register_buffer("low", torch.tensor(low, dtype=torch.float32))
         self.register_buffer("high", torch.tensor(high, dtype=torch.float32))
 
-    def forward(self, state: Tensor) -> Tensor:
-        acted = self.actor(TensorDict({"observation": state}, batch_size=state.shape[:1]))
-        return acted["action"].clamp(self.low, self.high)
+    def forward(self, state: Tensor, memory: Tensor | None = None) -> Tensor | tuple[Tensor, Tensor]:
+        read = TensorDict({"observation": state}, batch_size=state.shape[:1])
+        if memory is None:
+            return self.actor(read)["action"].clamp(self.low, self.high)
+        remembered = self.actor.memory.advance(state, memory)
+        acted = self.actor.head(read.set(MEMORY, remembered))
+        return acted["action"].clamp(self.low, self.high), remembered
+
+    def as_flown(self, state: Tensor, memory: Tensor | None = None) -> list[np.ndarray]:
+        """What :meth:`forward` must give, by the policy itself."""
+        if memory is None:
+            read = TensorDict({"observation": state}, batch_size=state.shape[:1])
+            return [self.actor(read)["action"].clamp(self.low, self.high).numpy()]
+        carried = {"observation": state, RECURRENT_STATE: memory[:, None], IS_INIT: torch.zeros(len(state), 1) > 0}
+        acted = self.actor(TensorDict(carried, batch_size=state.shape[:1]))
+        action, following = acted["action"].clamp(self.low, self.high), acted["next", RECURRENT_STATE][:, 0]
+        return [action.numpy(), following.numpy()]
 
 
 def policy_onnx(actor: TensorDictModuleBase, size: int, low: Sequence[float], high: Sequence[float]) -> bytes:
@@ -63,14 +82,17 @@ def policy_onnx(actor: TensorDictModuleBase, size: int, low: Sequence[float], hi
             f"{LEFT_OUT}, which lets the policy act without PyTorch: it needs {error.name}. To have it, pip install "
             f"'uavrl[export]' and export again to another folder."
         ) from error
-    acts = _MeanAction(actor, low, high)
-    states = torch.randn(TRIED, size, generator=torch.Generator().manual_seed(0), dtype=torch.float32)
+    acts, generator = _MeanAction(actor, low, high), torch.Generator().manual_seed(0)
+    tried = {INPUT: torch.randn(TRIED, size, generator=generator, dtype=torch.float32)}
+    if isinstance(actor, RecurrentPolicy):
+        tried[MEMORY_INPUT] = 2 * torch.rand(TRIED, actor.memory.size, generator=generator, dtype=torch.float32) - 1
     training = {module: module.training for module in acts.modules()}
     acts.eval()
     try:
         with _quiet(), torch.no_grad(), torch.random.fork_rng(devices=[]):
-            content = _exported(acts, states)
-            apart = np.abs(_acted(content, states) - acts(states).numpy()).max()
+            content = _exported(acts, tried)
+            pairs = zip(_acted(content, tried), acts.as_flown(*tried.values()), strict=True)
+            apart = max(np.abs(exported - own).max() for exported, own in pairs)
     except Exception as error:  # whatever somebody else's network raises
         raise UavrlError(f"{LEFT_OUT}: PyTorch cannot export the policy's network ({_reason(error)}).") from error
     finally:
@@ -84,18 +106,18 @@ def policy_onnx(actor: TensorDictModuleBase, size: int, low: Sequence[float], hi
     return content
 
 
-def _exported(acts: nn.Module, states: Tensor) -> bytes:
+def _exported(acts: nn.Module, tried: Mapping[str, Tensor]) -> bytes:
     from onnx_ir.passes.common import ClearMetadataAndDocStringPass
 
     batch = torch.export.Dim("batch")
     program = torch.onnx.export(
         acts,
-        (states,),
+        tuple(tried.values()),
         dynamo=True,
         opset_version=OPSET,
-        input_names=[INPUT],
-        output_names=[OUTPUT],
-        dynamic_shapes={"state": {0: batch}},
+        input_names=list(tried),
+        output_names=[OUTPUT, MEMORY_OUTPUT][: len(tried)],
+        dynamic_shapes={name: {0: batch} for name in tried},
         external_data=False,
         verbose=False,
     )
@@ -140,13 +162,13 @@ def opset_of(content: bytes) -> int:
     return next(int(each.version) for each in onnx.load_from_string(content).opset_import if each.domain == "")
 
 
-def _acted(content: bytes, states: Tensor) -> np.ndarray:
-    """The actions of an exported policy, by ONNX's reference implementation."""
+def _acted(content: bytes, tried: Mapping[str, Tensor]) -> list[np.ndarray]:
+    """What an exported policy gives, by ONNX's reference implementation."""
     import onnx
     from onnx.reference import ReferenceEvaluator
 
-    (actions,) = ReferenceEvaluator(onnx.load_from_string(content)).run([OUTPUT], {INPUT: states.numpy()})
-    return np.asarray(actions)
+    read = {name: values.numpy() for name, values in tried.items()}
+    return [np.asarray(values) for values in ReferenceEvaluator(onnx.load_from_string(content)).run(None, read)]
 
 
 @contextmanager

@@ -10,12 +10,14 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
+from uavrl.envs.sensors import SENSORS
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
 from uavrl.transforms.guarded import FLOWN
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.perception.cells import VLP16_GRID
 from uavrl_onboard.policy.policy import Policy
+from uavrl_onboard.vehicle import VEHICLE
 
 
 class ExportedPolicy:
@@ -72,5 +74,13 @@ class ExportedPolicy:
         perception |= {"flight_level": terms.flight_level, "angles": terms.angles, "frames": terms.state.frames}
         perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
         perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}
-        sensor = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
+        name = "vlp16" if terms.cloud.lidar is None else terms.cloud.lidar.name
+        if name != "vlp16" and name in SENSORS:
+            perception["lidar.sensor"] = name  # an own sensor's rays are not in the contract
+        velocity_limit = terms.action.high[0]
+        if velocity_limit != VEHICLE.velocity_limit:
+            perception["max_speed"] = velocity_limit
+        sensor: dict[str, Any] = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
+        if velocity_limit != VEHICLE.velocity_limit:
+            sensor["env.max_speed"] = velocity_limit
         return {f"perception.{key}": value for key, value in perception.items()} | sensor

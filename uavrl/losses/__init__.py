@@ -9,6 +9,7 @@ from uavrl.losses.imitation import Imitation
 from uavrl.losses.lifeguard import LifeGuard
 from uavrl.losses.psae import PSAELoss
 from uavrl.losses.sac import SACLoss
+from uavrl.losses.sequences import SequenceLoss
 from uavrl.losses.td3 import TD3Loss
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "LifeGuard",
     "PSAELoss",
     "SACLoss",
+    "SequenceLoss",
     "TD3Loss",
 ]

@@ -37,10 +37,18 @@ class ActorCriticLoss(_LossModule):
     num_critics: ClassVar[int] = 2
     """How many critics :meth:`of_networks` takes."""
 
+    critics_may_differ: ClassVar[bool] = False
+    """Whether critics may read what the actor does not, such as a memory of their own."""
+
+    learns_from_sequences: ClassVar[bool] = False
+    """Whether batches hold windows of episodes, see :class:`~uavrl.losses.SequenceLoss`; else, transitions."""
+
     @classmethod
-    def policy_of(cls, network: nn.Module, action_spec: Bounded) -> TensorDictModuleBase:
-        """The policy of a network that takes ``observation [*B, S]`` to its parameters; here, to the action."""
-        return TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
+    def policy_of(
+        cls, network: nn.Module, action_spec: Bounded, in_keys: Sequence[str] = ("observation",)
+    ) -> TensorDictModuleBase:
+        """The policy of a network that takes the ``in_keys``, ``[*B, S]``, to its parameters; here, to the action."""
+        return TensorDictModule(network, in_keys=list(in_keys), out_keys=["action"])
 
     @classmethod
     def of_networks(
@@ -110,6 +118,23 @@ class ActorCriticLoss(_LossModule):
     def critic_network_params(self) -> TensorDictParams:
         """The parameters that the critic's optimiser moves."""
         return getattr(self, f"{self.critic_name}_params")
+
+    @property
+    def actor_parameters(self) -> list[Tensor]:
+        """What the actor's optimiser moves."""
+        return [value for value in self.actor_network_params.values(True, True) if isinstance(value, Tensor)]
+
+    @property
+    def critic_parameters(self) -> list[Tensor]:
+        """What the critics' optimiser moves."""
+        return [value for value in self.critic_network_params.values(True, True) if isinstance(value, Tensor)]
+
+    def states(self, batch: TensorDictBase) -> TensorDictBase:
+        """The states ``[*B]`` of a batch in which :meth:`act` acts; here they are the batch."""
+        return batch
+
+    def move_memories(self, tau: float) -> None:
+        """Moves the targets of memories by this share; here there are none."""
 
     def _actor_inputs(self, tensordict: TensorDictBase) -> TensorDictBase:
         """A new tensordict of what actor and critics read."""

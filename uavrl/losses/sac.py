@@ -56,6 +56,8 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         torch.Size([])
     """
 
+    critics_may_differ = True
+
     def __init__(
         self,
         actor_network: ProbabilisticTensorDictSequential,
@@ -84,10 +86,12 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         self.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
 
     @classmethod
-    def policy_of(cls, network: nn.Module, action_spec: Bounded) -> TensorDictModuleBase:
+    def policy_of(
+        cls, network: nn.Module, action_spec: Bounded, in_keys: Sequence[str] = ("observation",)
+    ) -> TensorDictModuleBase:
         """A policy that samples: the network gives mean and deviation of a normal, squashed to the bounds."""
         return ProbabilisticActor(
-            TensorDictModule(network, in_keys=["observation"], out_keys=["loc", "scale"]),
+            TensorDictModule(network, in_keys=list(in_keys), out_keys=["loc", "scale"]),
             in_keys=["loc", "scale"],
             spec=action_spec,
             distribution_class=TanhNormal,

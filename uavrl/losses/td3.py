@@ -4,10 +4,16 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import torch
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule
+from tensordict.utils import unravel_key
+from torch import Tensor
 from torchrl.data import Bounded
+from torchrl.envs.utils import step_mdp
 from torchrl.objectives import TD3Loss as _TD3Loss
 from torchrl.objectives import ValueEstimators
+from torchrl.objectives.utils import distance_loss
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.critics import is_stackable, several, stacked_values
@@ -19,7 +25,7 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
 
     What differs from :class:`torchrl.objectives.TD3Loss`: the squared error is the default, target noise
     and clip are stated for unit actions and scaled by half the action's range, critics keep the weights
-    they come with, and the actor's loss evaluates the first critic only.
+    they come with and may read what the actor does not, and the actor's loss evaluates the first critic only.
 
     Args:
         actor_network: reads the state, writes ``action``.
@@ -50,6 +56,8 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
         torch.Size([])
     """
 
+    critics_may_differ = True
+
     def __init__(
         self,
         actor_network: TensorDictModule,
@@ -78,3 +86,46 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
         super()._make_vmap()
         if is_stackable(self.qvalue_network):
             self._vmap_qvalue_network00 = partial(stacked_values, self.qvalue_network, repeated=True)
+
+    def _set_in_keys(self) -> None:
+        super()._set_in_keys()
+        keys: list[NestedKey] = list(self.in_keys)
+        following = {unravel_key(("next", key)) for key in self._read_by_critics}
+        self._in_keys = [*keys, *sorted(following - set(keys), key=str)]
+
+    @property
+    def _read_by_critics(self) -> list[NestedKey]:
+        """What the critics read of a state."""
+        return [key for key in self.qvalue_network.in_keys if key != self.tensor_keys.action]
+
+    def _values(self, tensordict: TensorDictBase, params: TensorDictBase) -> Tensor:
+        """Values ``[K, *B]`` of K critics at states and actions ``[*B]``."""
+        inputs = tensordict.select(*self.qvalue_network.in_keys, strict=False)
+        values = self._vmap_qvalue_network00(inputs.expand(self.num_qvalue_nets, *inputs.batch_size), params)
+        return values.get(self.tensor_keys.state_action_value).squeeze(-1)
+
+    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """The error of all critics against ``r + γ (1 - d) min_j Q'_j(s', a')`` (Eq. 2.10–2.12), reduced.
+
+        As TorchRL computes it; here, critics may read more of the next state than the actor does.
+        """
+        action = tensordict.get(self.tensor_keys.action)
+        noise = (torch.randn_like(action) * self.policy_noise).clamp(-self.noise_clip, self.noise_clip)
+        with torch.no_grad():
+            following = step_mdp(tensordict).select(*self.actor_network.in_keys, *self._read_by_critics, strict=False)
+            with self.target_actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+                following = self.actor_network(following)
+            noisy = (following.get(self.tensor_keys.action) + noise).clamp(self.min_action, self.max_action)
+            following.set(self.tensor_keys.action, noisy)
+            next_value = self._values(following, self.target_qvalue_network_params).amin(0)
+        told = tensordict.copy().set(("next", self.tensor_keys.state_action_value), next_value.unsqueeze(-1))
+        target = self.value_estimator.value_estimate(told).squeeze(-1)
+        value = self._values(tensordict, self.qvalue_network_params)
+        errors = distance_loss(value, target.expand_as(value), loss_function=self.loss_function).sum(0)
+        metadata = {
+            "td_error": (value - target).pow(2),
+            "next_state_value": next_value.detach(),
+            "pred_value": value.detach(),
+            "target_value": target.detach(),
+        }
+        return self._reduced(errors, tensordict), metadata

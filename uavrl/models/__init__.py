@@ -10,6 +10,7 @@ from uavrl.models.collision import (
     confusion_rates,
 )
 from uavrl.models.dynamics import RewardNet, SystemNet
+from uavrl.models.memory import GRUMemory, RecurrentPolicy
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.psae import PSAE, TrajectoryClassifier
 
@@ -19,11 +20,13 @@ __all__ = [
     "CollisionClassifier",
     "ConfusionRates",
     "Critic",
+    "GRUMemory",
     "GaussianActor",
     "LinearClassifier",
     "MLPClassifier",
     "MinMaxScaler",
     "OneShotClassifier",
+    "RecurrentPolicy",
     "RewardNet",
     "SystemNet",
     "TrajectoryClassifier",

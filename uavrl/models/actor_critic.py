@@ -41,6 +41,16 @@ def as_weights(inputs: Tensor, weight: Any) -> Tensor:
     return inputs if inputs.dtype == weight.dtype else inputs.to(weight.dtype)
 
 
+def joined(parts: Sequence[Tensor]) -> Tensor:
+    """Return parts ``[*B, ...]`` end to end.
+
+    Examples:
+        >>> joined([torch.zeros(5, 2), torch.zeros(5, 1)]).shape
+        torch.Size([5, 3])
+    """
+    return parts[0] if len(parts) == 1 else torch.cat(list(parts), -1)
+
+
 class Actor(nn.Module):
     """The deterministic policy μ(s): an MLP, squashed by tanh to [-limit, limit].
 
@@ -62,9 +72,9 @@ class Actor(nn.Module):
         self.net = mlp(observations, hidden, actions)
         self.limit = limit
 
-    def forward(self, observation: Tensor) -> Tensor:
-        """``[*B, observations]`` to ``[*B, actions]``."""
-        return self.limit * self.net(as_weights(observation, self.net[0].weight)).tanh()
+    def forward(self, *state: Tensor) -> Tensor:
+        """``[*B, observations]``, in one part or several, to ``[*B, actions]``."""
+        return self.limit * self.net(as_weights(joined(state), self.net[0].weight)).tanh()
 
 
 class GaussianActor(nn.Module):
@@ -89,9 +99,9 @@ class GaussianActor(nn.Module):
         self.net = mlp(observations, hidden, 2 * actions)
         self.log_scale = log_scale
 
-    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """``[*B, observations]`` to mean and deviation, each ``[*B, actions]``."""
-        loc, log_scale = self.net(as_weights(observation, self.net[0].weight)).chunk(2, -1)
+    def forward(self, *state: Tensor) -> tuple[Tensor, Tensor]:
+        """``[*B, observations]``, in one part or several, to mean and deviation, each ``[*B, actions]``."""
+        loc, log_scale = self.net(as_weights(joined(state), self.net[0].weight)).chunk(2, -1)
         return loc, log_scale.clamp(*self.log_scale).exp()
 
 
@@ -112,22 +122,21 @@ class Critic(nn.Module):
         super().__init__()
         self.net = mlp(observations + actions, hidden, 1, layer_norm=layer_norm)
 
-    def forward(self, observation: Tensor, action: Tensor) -> Tensor:
-        """``[*B, observations]`` and ``[*B, actions]`` to ``[*B, 1]``."""
-        return self.net(as_weights(torch.cat([observation, action], -1), self.net[0].weight))
+    def forward(self, *state_and_action: Tensor) -> Tensor:
+        """``[*B, observations]``, in one part or several, and ``[*B, actions]`` to ``[*B, 1]``."""
+        return self.net(as_weights(joined(state_and_action), self.net[0].weight))
 
-    def forward_stacked(self, parameters: Mapping[str, Tensor], observation: Tensor, action: Tensor) -> Tensor:
+    def forward_stacked(self, parameters: Mapping[str, Tensor], *state_and_action: Tensor) -> Tensor:
         """Evaluates K critics with stacked parameters, linear layers in one batched product.
 
         Args:
             parameters: ``net.<i>.weight [K, out, in]``, ``net.<i>.bias [K, out]``, and whatever other layers have.
-            observation: ``[K, B, observations]``.
-            action: ``[K, B, actions]``.
+            *state_and_action: ``[K, B, observations]``, in one part or several, and ``[K, B, actions]``.
 
         Returns:
             ``[K, B, 1]``.
         """
-        inputs = as_weights(torch.cat([observation, action], -1), parameters["net.0.weight"])
+        inputs = as_weights(joined(state_and_action), parameters["net.0.weight"])
         return _stacked(self.net, _below("net", parameters), inputs)
 
 

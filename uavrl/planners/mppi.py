@@ -117,6 +117,7 @@ class MPPI(Planner):
         seed: of the samples.
         costs: None for the ones above.
         airframe: whose hull and LiDAR it reckons with; None for the default one.
+        max_speed: limit of each component of the velocity, m/s.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -138,8 +139,9 @@ class MPPI(Planner):
         seed: Seed = 0,
         costs: MPPIWeights | None = None,
         airframe: OrMapping[Airframe] | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
-        super().__init__(flight_level, radius, seconds, motion, airframe)
+        super().__init__(flight_level, radius, seconds, motion, airframe, max_speed=max_speed)
         self.costs = MPPIWeights() if costs is None else costs
         generator = torch.Generator().manual_seed(seed)
         noise = torch.randn(BANK, samples, KNOTS, 3, generator=generator, dtype=torch.float32)
@@ -168,7 +170,8 @@ class MPPI(Planner):
         costs, plans = self.costs, self._plans[:, None]
         tried = plans + self._noise[self._ages % BANK]  # [N, K, T, 3]
         tried[:, 1] = 0.0  # to stop
-        noise = limited(tried, costs.speed, costs.climb) - plans
+        fastest = costs.speed * self.vehicle.velocity_limit / VEHICLE.velocity_limit
+        noise = limited(tried, fastest, costs.climb) - plans
         places = places_of(plans + noise, seen.velocity[:, None], seen.acceleration[:, None])
         effort = costs.effort * costs.temperature / costs.spread**2 * (plans * noise).mean(2).sum(-1)
         weight = torch.softmax(-(self._cost(places, seen) + effort) / costs.temperature, -1)

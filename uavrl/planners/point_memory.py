@@ -11,17 +11,18 @@ from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import GRAVITY, Airframe
 from uavrl.policy_protocol import PolicyModule
 from uavrl.transforms.numpy_boundary import call_numpy
-from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.geometry import NEAREST_RETURN, body_to_level, body_to_world, world_to_yaw
 from uavrl_onboard.guards.evade import evaded
 from uavrl_onboard.guards.histogram import polar_histogram
+from uavrl_onboard.lidar.vlp16 import NUM_RAYS
 from uavrl_onboard.perception.cells import LASERS
 from uavrl_onboard.perception.motion.occlusion import Grid, Returns, find_returns, least_around, range_images
 from uavrl_onboard.perception.motion.threats import STEPS, straight_on
 from uavrl_onboard.vehicle import VEHICLE
 
 PERIOD = VEHICLE.period  # s between two scans
-THINNED = 4  # of the scan's firing cycles, 0.2 degrees apart, one of so many is read
+THINNED = 4  # of a VLP-16's firing cycles, 0.2 degrees apart, one of so many is read
+READ = 7_000  # rays, about, that are read of a scan of any other sensor
 MARGIN = 0.3  # m, by which a scan must see farther than a remembered point to forget it
 TALL = 0.8  # height of what is remembered over its width: scans lie within 15 degrees, and 30 of tilt
 NEVER = -(2**30)  # a scan's number before all others
@@ -32,6 +33,19 @@ LEAN = torch.tensor(
     [0.41, 0.41, 0.63], dtype=torch.float32
 )  # share of what the acceleration lacks that comes in a step
 TURN_GAIN, TURN_LIMIT = 0.6, 1.0  # 1/s and rad/s; a fast turn makes a late command point elsewhere
+
+
+def thinned(clouds: Tensor) -> Tensor:
+    """Return the rays of scans ``[N, R, 3]`` that are read, evenly over the beams.
+
+    Examples:
+        >>> thinned(torch.zeros(2, 28928, 3)).shape, thinned(torch.zeros(2, 65536, 3)).shape
+        (torch.Size([2, 7232, 3]), torch.Size([2, 7282, 3]))
+    """
+    count = clouds.shape[1]
+    if count == NUM_RAYS:
+        return clouds.unflatten(1, (-1, LASERS))[:, ::THINNED].flatten(1, 2)
+    return clouds[:, :: max(1, count // READ) | 1]  # an odd step leaves out no beam of 2^k
 
 
 class ScanMemory:
@@ -164,6 +178,7 @@ class Planner(PolicyModule):
         seconds: for which they are remembered.
         motion: how far moving objects are looked for, to keep out of their ways; None: it is not told of any.
         airframe: whose hull and LiDAR it reckons with; None for the default one.
+        max_speed: limit of each component of the velocity, m/s.
     """
 
     def __init__(
@@ -173,13 +188,14 @@ class Planner(PolicyModule):
         seconds: float,
         motion: float | None = None,
         airframe: OrMapping[Airframe] | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
         super().__init__()
         self.in_keys = ["point_cloud", "is_init", "altitude", "heading_deg", "velocity", "attitude"]
         self.in_keys += ["moving_objects"] if motion is not None else []
         self.motion = motion
         self.out_keys = ["action"]
-        self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level)
+        self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level, max_speed)
         self.memory = ScanMemory(sight, seconds, above=self.vehicle.lidar_above)
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
@@ -197,15 +213,14 @@ class Planner(PolicyModule):
         seen = self._survey(tensordict)
         velocity, turn = self.steer(seen)
         action = torch.cat([self.evade(velocity, seen), turn], -1)
-        return tensordict.set("action", action.clamp(-ACTION_LIMIT, ACTION_LIMIT))
+        return tensordict.set("action", action.clamp(-self.vehicle.velocity_limit, self.vehicle.velocity_limit))
 
     def _survey(self, tensordict: TensorDictBase) -> Surroundings:
         """Takes in one step of all vehicles."""
         fresh, attitude = tensordict["is_init"], tensordict["attitude"]
         velocity, yaw = tensordict["velocity"], attitude[:, 2]
         told = (velocity.double().numpy(), attitude.double().numpy(), fresh[:, 0].numpy())
-        turns = tensordict["point_cloud"].unflatten(1, (-1, LASERS))
-        self.memory.look(turns[:, ::THINNED].flatten(1, 2).numpy(), *told)
+        self.memory.look(thinned(tensordict["point_cloud"]).numpy(), *told)
         points, owners = self.memory.recall()
         level = world_to_yaw(points.astype(np.float32), yaw.numpy()[owners])
         heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)

@@ -10,7 +10,6 @@ from torch import Tensor
 from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Planner, Surroundings
-from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.ranges import Positive
 from uavrl_onboard.vehicle import VEHICLE
 
@@ -70,6 +69,7 @@ class PotentialField(Planner):
             their ways; None: what moves is taken for standing.
         costs: None for the ones above.
         airframe: whose hull and LiDAR it reckons with; None for the default one.
+        max_speed: limit of each component of the velocity, m/s.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -89,8 +89,9 @@ class PotentialField(Planner):
         motion: float | None = None,
         costs: FieldWeights | None = None,
         airframe: OrMapping[Airframe] | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
-        super().__init__(flight_level, radius, seconds, motion, airframe)
+        super().__init__(flight_level, radius, seconds, motion, airframe, max_speed=max_speed)
         self.costs = FieldWeights() if costs is None else costs
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
@@ -100,5 +101,7 @@ class PotentialField(Planner):
         push = torch.stack([repulsion(points - place, costs.reach, self.vehicle.radius) for points, place in around])
         velocity = costs.attraction * seen.goal + costs.repulsion * push
         velocity[:, 2:] += costs.level * (self.vehicle.flight_level - seen.altitude)
-        fastest = velocity.norm(dim=-1, keepdim=True).clamp_min(ACTION_LIMIT) / ACTION_LIMIT
+        fastest = (
+            velocity.norm(dim=-1, keepdim=True).clamp_min(self.vehicle.velocity_limit) / self.vehicle.velocity_limit
+        )
         return velocity / fastest, seen.turn

@@ -15,7 +15,6 @@ from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.mppi import limited
 from uavrl.planners.ompl_search import APART, filled, length, load_ompl, pushed_out, search
 from uavrl.planners.point_memory import PERIOD, Planner, Surroundings
-from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.geometry import heading_vector, stretch, world_to_yaw, yaw_to_world
 from uavrl_onboard.guards.map.lines import Obstacles, clearances
 from uavrl_onboard.ranges import Positive, Seed
@@ -87,6 +86,7 @@ class RRTConnect(Planner):
         seed: of the plans.
         costs: None for the ones above.
         airframe: whose hull and LiDAR it reckons with; None for the default one.
+        max_speed: limit of each component of the velocity, m/s.
 
     Raises:
         UavrlError: where OMPL is not installed.
@@ -111,8 +111,9 @@ class RRTConnect(Planner):
         seed: Seed = 0,
         costs: RRTConnectWeights | None = None,
         airframe: OrMapping[Airframe] | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
-        super().__init__(flight_level, radius, seconds, motion, airframe)
+        super().__init__(flight_level, radius, seconds, motion, airframe, max_speed=max_speed)
         load_ompl()
         self.tries, self.seed = tries, seed
         self.costs = RRTConnectWeights() if costs is None else costs
@@ -129,7 +130,7 @@ class RRTConnect(Planner):
                 self._pilots[one] = Pilot()
             velocities.append(self._fly(self._pilots[one], one, seen))
         velocity = torch.from_numpy(np.stack(velocities)).float()
-        return limited(velocity, ACTION_LIMIT, CLIMB), seen.turn
+        return limited(velocity, self.vehicle.velocity_limit, CLIMB), seen.turn
 
     def _fly(self, pilot: Pilot, one: int, seen: Surroundings) -> np.ndarray:
         """The velocity of one vehicle, ``[3]`` m/s; all places are stretched, in level axes of its yaw."""
@@ -224,7 +225,11 @@ class RRTConnect(Planner):
         beside = clearances(obstacles.points, start[None], carrot[None]).min(initial=np.inf) - self.vehicle.radius
         wide = float(np.clip((beside - costs.near / 2) / (costs.far - costs.near / 2), 0, 1))
         way = (carrot - start) / self._stretch
-        return (costs.slow + (ACTION_LIMIT - costs.slow) * wide) * way / max(float(np.linalg.norm(way)), 0.1)
+        return (
+            (costs.slow + (self.vehicle.velocity_limit - costs.slow) * wide)
+            * way
+            / max(float(np.linalg.norm(way)), 0.1)
+        )
 
     def _reflex(self, points: np.ndarray, start: np.ndarray, goal: np.ndarray, side: float) -> tuple[np.ndarray, float]:
         """The velocity ``[3]`` along the nearest obstacle, and on which side that is.

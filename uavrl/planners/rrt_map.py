@@ -41,6 +41,7 @@ class RRTMap(RRTConnect):
         seed: of the plans.
         costs: None for those of :class:`~uavrl.planners.rrt_connect.RRTConnectWeights`.
         airframe: whose hull and LiDAR it reckons with; None for the default one.
+        max_speed: limit of each component of the velocity, m/s.
         cell: edge of the map's cells, m.
         reach: m from the vehicle to each side, beyond which the map forgets.
 
@@ -72,6 +73,7 @@ class RRTMap(RRTConnect):
         airframe: OrMapping[Airframe] | None = None,
         cell: Annotated[float, Field(ge=0.1, le=1)] = 0.25,
         reach: Annotated[float, Field(ge=5, le=100)] = 40.0,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
         super().__init__(
             flight_level,
@@ -82,6 +84,7 @@ class RRTMap(RRTConnect):
             seed=seed,
             costs=costs,
             airframe=airframe,
+            max_speed=max_speed,
         )
         self.cell, self.reach = cell, reach
         self._maps: list[EpisodeMap] = []

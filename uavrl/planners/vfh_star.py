@@ -12,7 +12,6 @@ from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Planner, Surroundings
 from uavrl.transforms.numpy_boundary import call_numpy
-from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.geometry import off_altitudes, stretch
 from uavrl_onboard.perception.cells import grid_directions
 from uavrl_onboard.perception.motion.threats import LAG
@@ -114,6 +113,7 @@ class VFHStar(Planner):
         depth: steps that are looked ahead.
         costs: None for the ones above.
         airframe: whose hull and LiDAR it reckons with; None for the default one.
+        max_speed: limit of each component of the velocity, m/s.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -134,8 +134,9 @@ class VFHStar(Planner):
         depth: Annotated[int, Field(ge=0, le=10)] = 2,
         costs: VFHStarWeights | None = None,
         airframe: OrMapping[Airframe] | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
-        super().__init__(flight_level, radius, seconds, motion, airframe)
+        super().__init__(flight_level, radius, seconds, motion, airframe, max_speed=max_speed)
         self.depth = depth
         self.costs = VFHStarWeights() if costs is None else costs
         self.directions = torch.from_numpy(grid_directions(AZIMUTHS, ELEVATIONS)).float()
@@ -214,5 +215,5 @@ class VFHStar(Planner):
         costs, far = self.costs, ~self._close[cost.argmin(-1)]
         weight = torch.softmax((-SHARPNESS / costs.goal * cost).masked_fill(far, -math.inf), -1)
         way = torch.nn.functional.normalize(weight @ self.directions, dim=-1)
-        speed = (lines.free / costs.brake).clamp_max(ACTION_LIMIT) * (1 - costs.caution * lines.threat)
+        speed = (lines.free / costs.brake).clamp_max(self.vehicle.velocity_limit) * (1 - costs.caution * lines.threat)
         return way, (weight * speed).sum(-1, keepdim=True)

@@ -11,21 +11,29 @@ from uavrl.errors import UavrlError
 from uavrl.policy_protocol import PolicyModule
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.reduction import Statistic
-from uavrl.transforms.state import ACTION_LIMIT, REDUCTIONS, cell_directions
+from uavrl.transforms.state import REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evade import evade
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on
 from uavrl_onboard.perception.reductions import Reduction
-from uavrl_onboard.vehicle import VEHICLE
+from uavrl_onboard.vehicle import DECELERATION, REACTION, VEHICLE
 
 TURN_GAIN = 0.6  # 1/s, yaw rate over the angle to the way that is flown
 TURN_LIMIT = 1.0  # rad/s; at 2 rad/s a command that is 0.2 s late points 23 degrees elsewhere
+NOMINAL = VEHICLE.velocity_limit  # m/s, for which the costs were chosen
+CLEAR = 0.2  # m, between hull and obstacle, where a vehicle would stand
+AHEAD = math.cos(0.45)  # directions within this angle, in rad, of a cell's must be free to stop in
 STANDING = 0.1  # share of the largest velocity below which a vehicle flies in no direction
 BEHIND = 60.0  # degrees to either side of straight behind; with 30 the yaw still reversed, in 16 of 200 starts
 BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one are blended with it
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
+# Of a controller that keeps headway, as uavrl_onboard.guards.shield.Shield has them:
+LAG = 0.3  # s until a commanded velocity is flown
+KEPT = VEHICLE.radius + 0.12  # m from the sensor to the hull, and a margin
+SIGHT = 2.5  # m, how far obstacles bound the speed
+CORRECTIONS = 10  # of a velocity, after which it is halved where it is still 0.1 m/s too fast
 
 
 class StraightPolicy(PolicyModule):
@@ -34,6 +42,7 @@ class StraightPolicy(PolicyModule):
     Args:
         flight_level: altitude to hold, m.
         cone: half-angle within which it flies, rad.
+        max_speed: limit of each component of the velocity, m/s.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -42,17 +51,23 @@ class StraightPolicy(PolicyModule):
         [[2.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 2.0]]
     """
 
-    def __init__(self, flight_level: float = VEHICLE.flight_level, cone: float = 0.15) -> None:
+    def __init__(
+        self,
+        flight_level: float = VEHICLE.flight_level,
+        cone: float = 0.15,
+        max_speed: float = VEHICLE.velocity_limit,
+    ) -> None:
         super().__init__()
         self.in_keys, self.out_keys = ["heading_deg", "altitude"], ["action"]
-        self.flight_level, self.cone = flight_level, cone
+        self.flight_level, self.cone, self.max_speed = flight_level, cone, max_speed
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``heading_deg`` and ``altitude``."""
         heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
-        forward = ACTION_LIMIT * (heading.abs() < self.cone).float()
-        climb = (self.flight_level - tensordict["altitude"]).clamp(-ACTION_LIMIT, ACTION_LIMIT)
-        turn = (3 * heading).clamp(-ACTION_LIMIT, ACTION_LIMIT)
+        limit, fastest_turn = self.max_speed, VEHICLE.yaw_rate_limit
+        forward = limit * (heading.abs() < self.cone).float()
+        climb = (self.flight_level - tensordict["altitude"]).clamp(-limit, limit)
+        turn = (3 * heading).clamp(-fastest_turn, fastest_turn)
         return tensordict.set("action", torch.cat([forward, torch.zeros_like(forward), climb, turn], -1))
 
 
@@ -68,6 +83,7 @@ class VFHWeights:
     nearness: float  #: power of what a cell tells over the radius; the greater, the less far things count
     caution: float  #: share of the speed that is left out where the way is full, in [0, 1]
     change: float = 0.0  #: cost of a direction away from that of the last action, where that is known
+    headway: float = 0.0  #: s, in which the gap to an obstacle may be closed at the earliest; 0: gaps bound no speed
 
 
 # Chosen in valleys 200 to 209: the first by studies/tune_vfh.py, but for its level, 0.121 there, with which climbing
@@ -91,13 +107,30 @@ def _counting(cells: Tensor, width: float) -> Tensor:
     return (DIRECTIONS @ cells.T).clamp_min(0) ** width
 
 
+def keep_headway(velocity: Tensor, towards: Tensor, speed: Tensor) -> Tensor:
+    """Velocities ``[N, 3]`` near ``velocity`` that are hardly faster ``towards [C, 3]`` than ``speed [N, C]``.
+
+    The bound that is most exceeded is met by the shortest change, again and again.
+
+    Examples:
+        >>> keep_headway(torch.tensor([[2.0, 1.0, 0.0]]), torch.eye(3), torch.tensor([[0.5, 5.0, 5.0]])).tolist()
+        [[0.5, 1.0, 0.0]]
+    """
+    for _ in range(CORRECTIONS):
+        over, worst = (velocity @ towards.T - speed).max(-1, keepdim=True)
+        velocity = velocity - over.clamp_min(0.0) * towards[worst[..., 0]]
+    still = (velocity @ towards.T - speed).amax(-1, keepdim=True) > 0.1
+    return torch.where(still, 0.5 * velocity, velocity)
+
+
 class VectorFieldHistogram(PolicyModule):
     """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there.
 
     Source: Borenstein and Koren (1991), The vector field histogram, in three dimensions and on the reduction's cells
     instead of a grid; Ulrich and Borenstein (1998), VFH+, for the cost of changing direction. Its only memory is the
     last action, where the observation holds that. With ``motion`` it also keeps out of the ways of moving objects, for
-    two seconds, as if they flew straight on.
+    two seconds, as if they flew straight on. With ``costs.headway`` the gaps to obstacles bound its speed, as in
+    :class:`uavrl_onboard.guards.shield.Shield` (Faverjon and Tournassoud, 1987).
 
     Args:
         flight_level: altitude to hold where nothing is in the way, within 1 m, m.
@@ -107,6 +140,8 @@ class VectorFieldHistogram(PolicyModule):
         costs: None for those that were chosen for this reduction and statistic; there are none for some.
         last_action: whether the observation ends with the last action, likewise.
         motion: how far moving objects are looked for, likewise; None: it is not told of any.
+        max_speed: limit of each component of the velocity, m/s. Above 2 m/s a direction is flown so fast that the
+            vehicle could stop before whatever a cell around it shows.
         grid: where the cells of a range image are, likewise. Cells of another grid than the default's weigh so much
             that a scan that is full everywhere costs the same, for which the costs were chosen.
 
@@ -130,6 +165,7 @@ class VectorFieldHistogram(PolicyModule):
         last_action: bool = False,
         motion: float | None = None,
         grid: RangeGrid | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
     ) -> None:
         statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and (reduction, statistic) not in COSTS:
@@ -138,23 +174,35 @@ class VectorFieldHistogram(PolicyModule):
                 f"vfh has costs for {seen}, and none for {reduction} with {statistic}: set perception.reduction and "
                 "perception.statistic so, or give a demonstrator its demonstrator.costs."
             )
+        costs = COSTS[reduction, statistic] if costs is None else costs
+        if costs.headway and statistic != "proximity":
+            raise UavrlError(
+                f"costs.headway reads distances from cells of statistic=proximity, and these are of {statistic}: set "
+                "perception.statistic=proximity, or leave costs out."
+            )
         super().__init__()
         self.in_keys = ["faces", "altitude", "heading_deg", *(["observation"] if last_action else [])]
         self.in_keys += ["moving_objects", "velocity", "attitude"] if motion is not None else []
         self.out_keys = ["action"]
         self.motion = motion
         self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
-        self.costs = COSTS[reduction, statistic] if costs is None else costs
+        self.costs = costs
         self.directions: Tensor
+        self._towards: Tensor  # [cells, 3]
         self._near: Tensor  # [D, D], cosines between directions
         self._seen_in: Tensor  # [D, cells]: how much of each counts in a direction
         self.register_buffer("directions", DIRECTIONS.clone(), persistent=False)
         self.register_buffer("_near", DIRECTIONS @ DIRECTIONS.T, persistent=False)
+        self.register_buffer("_towards", cell_directions(reduction, grid).clone(), persistent=False)
         seen_in = _counting(cell_directions(reduction, grid), self.costs.width)
         if reduction == "range_image" and grid not in (None, VLP16_GRID):
             known = _counting(cell_directions(reduction), self.costs.width)
             seen_in *= known.sum(-1, keepdim=True) / seen_in.sum(-1, keepdim=True)
         self.register_buffer("_seen_in", seen_in, persistent=False)
+        self.max_speed, self.nearness = max_speed, statistic != "range"
+        self._ahead: Tensor  # [D, cells]: 1 for the cells around a direction, and next to 0
+        ahead = (DIRECTIONS @ cell_directions(reduction, grid).T > AHEAD).float().clamp_min(1e-3)
+        self.register_buffer("_ahead", ahead, persistent=False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""
@@ -162,7 +210,21 @@ class VectorFieldHistogram(PolicyModule):
         if self.motion is not None:
             velocity = call_numpy(world_to_yaw, tensordict["velocity"], tensordict["attitude"][..., 2])
             cost, speed = call_numpy(evade, cost, speed, self.directions, velocity, *self.ways(tensordict))
-        return tensordict.set("action", self.to_action(cost, speed, tensordict["heading_deg"]))
+        action = self.to_action(cost, speed, tensordict["heading_deg"])
+        if self.costs.headway:
+            velocity = keep_headway(action[..., :3], self._towards, self._allowed(tensordict))
+            action = torch.cat([velocity, action[..., 3:]], -1)
+        return tensordict.set("action", action)
+
+    def _allowed(self, tensordict: TensorDictBase) -> Tensor:
+        """How fast the vehicle may fly towards each cell, so that it keeps its headway: ``[N, cells]`` in m/s."""
+        distance = self.radius - tensordict["faces"]
+        gap = distance - KEPT
+        if self.last_action:  # what is flown until the command acts
+            flown = self.max_speed * tensordict["observation"][..., -4:-1]
+            gap = gap - LAG * (flown @ self._towards.T).clamp_min(0)
+        seen = (tensordict["faces"] > 0) & (distance < SIGHT)
+        return torch.where(seen, gap.clamp_min(0) / self.costs.headway, math.inf)
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Where moving objects are thought to be, and which there are, as ``uavrl_onboard.guards.evade.evade`` asks."""
@@ -174,7 +236,7 @@ class VectorFieldHistogram(PolicyModule):
         costs, heading = self.costs, torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
         x, y, z = self.directions.T
         in_the_way = (tensordict["faces"] / self.radius) ** costs.nearness @ self._seen_in.T
-        off_level = (tensordict["altitude"] + ACTION_LIMIT * z - self.flight_level).abs()
+        off_level = (tensordict["altitude"] + NOMINAL * z - self.flight_level).abs()
         cost = (
             costs.obstacle * in_the_way
             + costs.goal * (1 - x * heading.cos() - y * heading.sin())
@@ -185,7 +247,16 @@ class VectorFieldHistogram(PolicyModule):
             last = tensordict["observation"][..., -4:-1]  # forward, left, up, as a share of the largest
             size = last.norm(dim=-1, keepdim=True)
             cost += costs.change * (size > STANDING) * (1 - (last / size.clamp_min(STANDING)) @ self.directions.T)
-        return cost, ACTION_LIMIT * (1 - costs.caution * in_the_way.clamp(0, 1))
+        return cost, self._fastest(tensordict["faces"]) * (1 - costs.caution * in_the_way.clamp(0, 1))
+
+    def _fastest(self, cells: Tensor) -> Tensor | float:
+        """How fast each direction may be flown where nothing is in its way, m/s: ``[N, D]``, or the limit."""
+        if self.max_speed <= NOMINAL:
+            return self.max_speed
+        near = self.radius - cells if self.nearness else torch.where(cells == 0, self.radius, cells)
+        free = (near[:, None] / self._ahead).amin(-1) - VEHICLE.radius - CLEAR  # [N, D]
+        reached = DECELERATION * ((REACTION**2 + 2 * free.clamp_min(0) / DECELERATION).sqrt() - REACTION)
+        return reached.clamp(NOMINAL, self.max_speed)
 
     def to_action(self, cost: Tensor, speed: Tensor, heading_deg: Tensor) -> Tensor:
         """The action ``[N, 4]`` of the cheapest direction, of ``cost`` and ``speed [N, D]``, turning slowly to it.

@@ -1,29 +1,17 @@
 """Groups of runs that differ in their seed alone, their labels and the settings that distinguish them."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from uavrl.config.yaml_files import NONE
 from uavrl.reporting.runs import LeftOut, Run
 from uavrl.runs.config import HOW_IT_RUNS
+from uavrl.runs.labels import label
 
 # Two success rates compare only where these parts are equal; the number of vehicles at a time does not matter.
 TASK, NOT_TASK = ("env", "perception"), ("env.num_uavs",)
 _SHOWN = 3  # differences that a sentence or a label names
-# Names of choices in a label; another choice, somebody's own perhaps, goes by the name of its yaml.
-_NAMES = {
-    "fork": {"on": "FORK"},
-    "lifeguard": {"linear": "LG", "mlp": "LG (MLP)"},
-    "backward_reward": {"abr": "ABR", "abr_plus": "ABR⁺"},
-    "reward": {
-        "traditional": "TR",
-        "navigation": "Eq. 3.6",
-        "navigation_printed": "Eq. 3.6 as printed",
-        "navigation_prize": "prize",
-    },
-}
 
 
 @dataclass(frozen=True)
@@ -37,18 +25,6 @@ class Group:
     def seeds(self) -> list[int]:
         """Of its runs."""
         return [run.seed for run in self.runs]
-
-
-def label(choices: Mapping[str, str]) -> str:
-    """The name of a group: its learner, its backward reward and its reward."""
-
-    def named(group: str) -> list[str]:
-        choice = choices.get(group, NONE)
-        return [] if choice == NONE else [_NAMES.get(group, {}).get(choice, choice)]
-
-    penalties = [name for group in ("fork", "lifeguard", "actor_penalty", "smoothness") for name in named(group)]
-    learner = "-".join([choices["algo"].upper(), *penalties])
-    return ", ".join([" + ".join([learner, *named("backward_reward")]), *named("reward")])
 
 
 def below(key: str, names: Iterable[str]) -> bool:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable
+from textwrap import wrap
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -17,6 +18,8 @@ QUANTITIES = {"success": "Success", "collision": "Collision", "time_out": "Time-
 AXES = {"steps": "environment steps", "episodes": "episodes"}
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 WORDS = {
+    "DAgger": "a network that clones the scripted controller VFH in the states that it reaches itself, preset=dagger",
+    "TD3-BC": "TD3 with behaviour cloning towards the scripted controller VFH, preset=td3_bc",
     "ABR": "augmentative backward reward, a bonus for the steps of successful episodes",
     "ABR⁺": "ABR with classes of states that were learned beforehand",
     "FORK": "a learned model of the environment, by which the actor looks ahead",
@@ -25,6 +28,7 @@ WORDS = {
     "Eq. 3.6": "the thesis's navigation reward, as printed",
     "prize": "the navigation reward with a bonus for success",
 }
+LABEL_WIDTH = 18  # characters of a line of a group's name beside its figure, which fits on a phone
 _GREY = "#7d8490"  # readable on white and on dark pages
 _LAYOUT = {
     "template": "none",
@@ -34,8 +38,8 @@ _LAYOUT = {
     "font": {"family": FONT, "size": 12, "color": "#374151"},
     "hoverlabel": {"namelength": -1},
     "dragmode": False,  # a finger on the figure scrolls the page
-    "xaxis": {"gridcolor": "#eceef1", "zeroline": False, "showline": True, "linecolor": "#9ca3af"},
-    "yaxis": {"gridcolor": "#eceef1", "zeroline": False},
+    "xaxis": {"gridcolor": "#eceef1", "zeroline": False, "showline": True, "linecolor": "#9ca3af", "automargin": True},
+    "yaxis": {"gridcolor": "#eceef1", "zeroline": False, "automargin": True},
 }
 
 
@@ -67,6 +71,7 @@ def page(report: Report) -> str:
         facts,
         axes=AXES,
         quantities=QUANTITIES,
+        verdict=report.verdict(),
         words=words(group["label"] for group in report.groups),
         colours=[_colour(index) for index in range(len(report.groups))],
         success_figure=_last_success(facts),
@@ -102,8 +107,12 @@ def words(labels: Iterable[str]) -> dict[str, str]:
         >>> list(words(["TD3-LG (MLP), TR", "TD3 + ABR⁺, prize"]))
         ['ABR⁺', 'LG', 'TR', 'prize']
     """
-    spaced = [f" {re.sub('[-,()]', ' ', label)} " for label in labels]
-    return {word: meaning for word, meaning in WORDS.items() if any(f" {word} " in label for label in spaced)}
+    spaced = [_spaced(label) for label in labels]
+    return {word: meaning for word, meaning in WORDS.items() if any(_spaced(word) in label for label in spaced)}
+
+
+def _spaced(label: str) -> str:
+    return f" {re.sub('[-,()]', ' ', label)} "
 
 
 def _colour(index: int) -> str:
@@ -138,12 +147,15 @@ def _learning_curve(facts: dict[str, Any], name: str, axis: str) -> str:
             style = {"color": paint, "width": 2.5 if thick else 1, "dash": dash}
             title = {"name": f"{group['label']}, {line}", "hovertemplate": hover, "opacity": 1.0 if thick else 0.45}
             drawn.add_scatter(x=x, y=scaled(y), line=style, **title, **common)
+    for share in sorted({flown[axis] for group in facts["groups"] if (flown := group["demonstrated"])}):
+        drawn.add_vrect(x0=0, x1=share, fillcolor=_GREY, opacity=0.16, line_width=0, layer="below")
     if name == "success":
         at = {"text": f"{100 * facts['threshold']:.4g} %", "font": {"size": 11, "color": _GREY}, "x": 0.008}
         style = {"color": _GREY, "width": 1, "dash": "dash"}
         note = {**at, "xanchor": "left", "yanchor": "bottom"}
         drawn.add_hline(y=100 * facts["threshold"], line=style, annotation=note)
     drawn.update_xaxes(title=AXES[axis], rangemode="tozero", tickformat="~s")
+    drawn.update_yaxes(rangemode="normal" if name == "return" else "nonnegative")
     drawn.update_yaxes(ticksuffix=unit, nticks=6, range=[0, 100] if name in ("success", "collision") else None)
     return _html(drawn, f"{axis}-{name}", 300)
 
@@ -170,8 +182,8 @@ def _last_success(facts: dict[str, Any]) -> str:
             text=[f"seed {run['seed']}" for run in runs],
             hovertemplate="%{text}: %{x:.1f} %",
         )
-    labels = [group["label"] for group in reversed(facts["groups"])]
-    drawn.update_xaxes(ticksuffix=" %", title=f"success, last {pluralize(facts['window'], 'training episode')}")
+    labels = ["<br>".join(wrap(group["label"], LABEL_WIDTH)) for group in reversed(facts["groups"])]
+    drawn.update_xaxes(ticksuffix=" %", title=f"success, last {pluralize(facts['window'], 'episode')}")
     drawn.update_yaxes(tickvals=list(range(count)), ticktext=labels, range=[-0.6, count - 0.4], automargin=True)
     return _html(drawn, "last-success", 110 + 46 * count)
 

@@ -65,6 +65,28 @@ class Report:
         """The content of ``report.json``."""
         return json.dumps(self.facts(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
+    def rates(self) -> tuple[str, str, list[tuple[str, dict[str, float], int]]]:
+        """The success rates that answer which group is best: where, the unit, and each group's label, rate and number.
+
+        They are those of the evaluation of most seeds, where there is one, else those of the last training episodes.
+        """
+        for part in self.evaluations:
+            if part["groups"]:
+                rows = [(row["group"], row["success"], row["tasks"]) for row in part["groups"]]
+                return f"evaluation in {part['flown']}", "task", rows
+        rows = [(group["label"], group["last"]["success"], group["last"]["episodes"]) for group in self.groups]
+        return "the last training episodes, with exploration noise", "training episode", rows
+
+    def verdict(self) -> str:
+        """Which group is ahead, in one sentence, or that none is; nothing of a single group."""
+        _, _, rows = self.rates()
+        (best, rate, _), *others = sorted(rows, key=lambda row: -row[1]["rate"])
+        if not others:
+            return ""
+        if rate["low"] > max(other["high"] for _, other, _ in others):
+            return f"{best} is ahead of all other groups: its interval lies above theirs."
+        return "No group is ahead: the intervals overlap."
+
     def warnings(self) -> list[str]:
         """One sentence for each folder that is left out and each note on a run."""
         notes = [f"{run['name']}: {note}" for run in self.runs for note in run["notes"]]
@@ -184,8 +206,22 @@ def _group_facts(group: Group, window: int, threshold: float) -> dict[str, Any]:
         "success_by_seed": success,
         "mean_success": float(np.mean(success)),
         "steps_to_threshold": [steps_to(episodes, threshold, window) for episodes in seeds],
+        "demonstrated": demonstrated(group),
         "notes": notes,
     }
+
+
+def demonstrated(group: Group) -> dict[str, int] | None:
+    """How long the scripted controller flew at the start of each run: in steps, and in episodes; None without one.
+
+    Episodes are those that ended within these steps, in the seed that had most of them.
+    """
+    config = group.runs[0].config
+    demonstrator, steps = config.get("demonstrator") or {}, (config.get("algo") or {}).get("learning_starts")
+    if demonstrator.get("_target_") is None or not isinstance(steps, int) or steps < 1:
+        return None
+    ended = [sum(episode.total_steps <= steps for episode in run.episodes) for run in group.runs]
+    return {"steps": steps, "episodes": max(ended)}
 
 
 def _evaluations(groups: Sequence[Group]) -> list[dict[str, Any]]:

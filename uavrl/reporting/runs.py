@@ -14,6 +14,7 @@ from uavrl.config import learner_name
 from uavrl.config.parts import PARTS
 from uavrl.config.yaml_files import NONE
 from uavrl.errors import OtherFormat, UavrlError
+from uavrl.evaluation.worlds import seed_ranges
 from uavrl.runs import names
 from uavrl.runs.config import load_config
 from uavrl.runs.episodes import RATES, Episode, read_episodes, wilson
@@ -230,12 +231,15 @@ def _evaluation(path: Path) -> dict[str, Any]:
     rates = {name: wilson(round(float(content[name]["rate"]) * tasks), tasks) for name in RATES}
     copied = {key: content.get(key) for key in _COPIED}
     measured = {"position_stats": _position_stats(content.get("position_stats")), **_smoothness(content)}
+    guarded = content.get("guard_share")
+    measured["guard_share"] = None if guarded is None else float(guarded)
     return {"file": path.name, "flown": _tasks(content), "episodes": tasks, **copied, **rates, **measured}
 
 
 def _tasks(content: dict[str, Any]) -> str:
     """The tasks in words. With planes, which move at every step, the number of UAVs is part of them."""
-    valleys = ", ".join(map(str, content.get("valleys") or []))
+    seeds = content.get("valleys") or []  # of a file from anywhere
+    valleys = seed_ranges(seeds) if all(isinstance(seed, int) for seed in seeds) else ", ".join(map(str, seeds))
     changes = [str(each) for each in content.get("overrides") or [] if str(each).startswith(("env.", "perception."))]
     uavs = content.get("num_uavs")  # of a file from anywhere: it need not be a number
     parts = [

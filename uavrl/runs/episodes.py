@@ -77,6 +77,38 @@ def wilson(count: int, total: int) -> dict[str, float]:
     return {"rate": count / total, "low": float(interval.low), "high": float(interval.high)}
 
 
+def rate_text(rate: Mapping[str, float], count: int, unit: str = "task") -> str:
+    """A rate of :func:`wilson` with its interval and the number of its tasks, as every command prints it.
+
+    Examples:
+        >>> rate_text(wilson(13, 16), 16)
+        '81.2 % (95 % CI 57.0–93.4 %, 16 tasks)'
+    """
+    share, low, high = (100 * rate[key] for key in ("rate", "low", "high"))
+    return f"{share:.1f} % (95 % CI {low:.1f}–{high:.1f} %, {pluralize(count, unit)})"
+
+
+def success_text(rate: Mapping[str, float], count: int, unit: str = "task") -> str:
+    """:func:`rate_text` of successes, with its name: the one way to print a result.
+
+    Examples:
+        >>> success_text(wilson(1, 1), 1, "training episode")
+        'Success rate: 100.0 % (95 % CI 20.7–100.0 %, 1 training episode)'
+    """
+    return f"Success rate: {rate_text(rate, count, unit)}"
+
+
+def rate_cell(rate: Mapping[str, float]) -> str:
+    """A rate of :func:`wilson` in a table whose heading names ``%`` and the interval.
+
+    Examples:
+        >>> rate_cell(wilson(13, 16))
+        '81.2 (57.0–93.4)'
+    """
+    share, low, high = (100 * rate[key] for key in ("rate", "low", "high"))
+    return f"{share:.1f} ({low:.1f}–{high:.1f})"
+
+
 def outcomes_of(result: Mapping[str, Any]) -> str | None:
     """How each task of an evaluation ended, a letter each; None where a file holds neither outcomes nor episodes.
 

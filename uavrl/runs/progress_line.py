@@ -5,6 +5,7 @@ import time
 from contextlib import ExitStack
 
 from uavrl.errors import extras
+from uavrl.runs.clock import command_began
 
 with extras():
     from tqdm import tqdm
@@ -17,28 +18,32 @@ class ProgressLine:
     """What is done, of how much, for how long; a context manager that closes the line.
 
     On a terminal one line is drawn again and again, and what is logged meanwhile stands above it. Elsewhere a line is
-    written every 10 s, and a last one at the end: a log holds no control characters, and no message inside a line.
+    written every 10 s, and a last one at the end: a log holds no control characters, and no message inside a line. The
+    elapsed time is that of the command, where there is one.
 
     Args:
         total: of the units.
         unit: what is counted, in the plural.
         done: where it begins.
+        verb: what is done with the units: "building" valleys 3/48.
         enabled: False shows nothing.
 
     Examples:
         >>> with ProgressLine(8, "episodes", enabled=False) as line:
         ...     line.add(2)
         >>> print(line)
-        2/8 episodes | 00:00 gone, 00:00 left
+        2/8 episodes | 00:00 elapsed, 00:00 left
     """
 
-    def __init__(self, total: int, unit: str, *, done: int = 0, enabled: bool = True) -> None:
+    def __init__(self, total: int, unit: str, *, done: int = 0, verb: str = "", enabled: bool = True) -> None:
         enabled = enabled and sys.stderr is not None  # None: it was closed before Python began
         terminal = enabled and sys.stderr.isatty()
-        self.n, self._total, self._unit, self._text = done, total, unit, ""
+        self.n, self._total, self._unit, self._verb, self._text = done, total, unit, verb, ""
         self._first = self._written = done
         self._writes = enabled and not terminal
         self._began = self._last = time.monotonic()
+        self._clock = command_began(self._began)
+        counted = f"{verb} {unit} {{n:,}}/{{total:,}}" if verb else f"{{n:,}}/{{total:,}} {unit}"
         self._redirected = ExitStack()
         self._bar = tqdm(
             total=total,
@@ -46,10 +51,14 @@ class ProgressLine:
             disable=not terminal,
             dynamic_ncols=True,
             mininterval=0.5,
-            bar_format=f"{{n:,}}/{{total:,}} {unit} |{{bar:12}}| {{elapsed}} gone{{postfix}}",
+            bar_format=f"{counted} |{{bar:12}}| {{elapsed}} elapsed{{postfix}}",
         )
         if terminal:
             self._redirected.enter_context(logging_redirect_tqdm())
+            self._bar.start_t -= self._began - self._clock
+            self._bar.refresh()
+        elif verb and self._writes:  # what is built comes before all else: the first line tells that it goes on
+            self._write()
 
     def set(self, done: int, text: str | None = None) -> None:
         """Shows that so many units are done.
@@ -83,8 +92,9 @@ class ProgressLine:
         self.close()
 
     def __str__(self) -> str:
-        gone = tqdm.format_interval(time.monotonic() - self._began)
-        return f"{self.n:,}/{self._total:,} {self._unit} | {gone} gone" + (f", {self._text}" if self._text else "")
+        elapsed, numbers = tqdm.format_interval(time.monotonic() - self._clock), f"{self.n:,}/{self._total:,}"
+        counted = f"{self._verb} {self._unit} {numbers}" if self._verb else f"{numbers} {self._unit}"
+        return f"{counted} | {elapsed} elapsed" + (f", {self._text}" if self._text else "")
 
     def _left(self) -> str:
         if self.n == self._first or self.n >= self._total:

@@ -58,7 +58,7 @@ class LiveEpisode:
         self.outcome: str | None = None
         self._pieces = 0
         goal = self._state["goal"][0].double().numpy()
-        valley = min(env.world.valleys, key=lambda each: float(np.hypot(*(each.origin - goal[:2]))))
+        valley = min(env.world.places, key=lambda each: float(np.hypot(*(each.origin - goal[:2]))))
         self.world_seed = valley.seed
         self._origin = np.append(valley.origin, 0.0)
         self._goal = goal
@@ -102,7 +102,7 @@ class LiveEpisode:
         path = env.traffic.advance(TRACKING_PERIOD, 1 / PHYSICS_RATE) if planes else None
         command = [*self._along(velocity), velocity[2], yaw_rate]
         collided = simulation.step(np.array([command]), path, TRACKING_PERIOD)
-        collided |= env.world.out_of_bounds(simulation.position, env._valley)
+        collided |= env.world.out_of_bounds(simulation.position, env._place_of)
         self._conclude(bool(collided[0]), bool(env.world.arrived(simulation.position, self._goal[None])[0]))
         return self._look()
 

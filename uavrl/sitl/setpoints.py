@@ -30,8 +30,12 @@ class Setpoint:
     yaw_rate: float  #: rad/s, to the left
     body: np.ndarray | None = None  #: ``[4]``, the velocity in the vehicle's axes and the yaw rate, where it came so
 
-    def demand(self, position: np.ndarray, yaw: float) -> tuple[np.ndarray, float]:
+    def demand(
+        self, position: np.ndarray, yaw: float, fastest: float = VEHICLE.velocity_limit
+    ) -> tuple[np.ndarray, float]:
         """The velocity ``[3]`` in the world's axes and the yaw rate that a vehicle is to fly that is there.
+
+        Each component of the velocity is cut at ``fastest`` m/s.
 
         Examples:
             >>> there = Setpoint(np.array([3.0, 0.0, np.nan]), np.full(3, np.nan), math.pi / 2, np.nan)
@@ -46,14 +50,14 @@ class Setpoint:
             turn = self.yaw_rate
         elif not math.isnan(self.yaw):
             turn = YAW_GAIN * math.remainder(self.yaw - yaw, math.tau)
-        fastest, fastest_turn = VEHICLE.velocity_limit, VEHICLE.yaw_rate_limit
+        fastest_turn = VEHICLE.yaw_rate_limit
         return np.clip(velocity, -fastest, fastest), min(max(turn, -fastest_turn), fastest_turn)
 
-    def command(self, position: np.ndarray, yaw: float) -> np.ndarray:
+    def command(self, position: np.ndarray, yaw: float, fastest: float = VEHICLE.velocity_limit) -> np.ndarray:
         """The same as an action of the simulator ``[4]``, which turns with the vehicle."""
         if self.body is not None:
             return self.body
-        velocity, turn = self.demand(position, yaw)
+        velocity, turn = self.demand(position, yaw, fastest)
         return np.append(world_to_yaw(velocity, yaw), turn)
 
 

@@ -20,6 +20,7 @@ from uavrl_onboard.autopilot.mavlink import PORT as AUTOPILOT_PORT
 from uavrl_onboard.autopilot.mavlink import mavlink
 from uavrl_onboard.lidar.packets import PORT as LIDAR_PORT
 from uavrl_onboard.lidar.packets import PacketStream, encode_scan
+from uavrl_onboard.vehicle import VEHICLE
 
 if TYPE_CHECKING:
     from uavrl.sitl.live import LiveEpisode
@@ -74,6 +75,7 @@ class Sitl:
         armed: whether it is armed at the start.
         speed: seconds in a second, or ``"lockstep"``.
         max_steps: steps of 0.1 s until the time is out.
+        max_speed: limit of each component of the velocity in m/s.
         patience: seconds for which a companion is waited for.
         linger: seconds of hovering after the end.
         pilot_takes_over: seconds after the first obeyed set-point at which the pilot takes the mode; None: never.
@@ -93,6 +95,7 @@ class Sitl:
         armed: bool = True,
         speed: float | Literal["lockstep"] = 1.0,
         max_steps: int = 300,
+        max_speed: float = VEHICLE.velocity_limit,
         patience: float = 60.0,
         linger: float = 1.0,
         pilot_takes_over: float | None = None,
@@ -101,6 +104,7 @@ class Sitl:
         messages = mavlink()
         self._episode, self._faults = episode, faults or Faults()
         self._lockstep, self._speed = speed == "lockstep", 1.0 if speed == "lockstep" else float(speed)
+        self._max_speed = max_speed
         self._max_steps, self._patience, self._linger, self._pilot = max_steps, patience, linger, pilot_takes_over
         self.autopilot = SimulatedAutopilot(messages, firmware, armed=armed)
         self._telemetry = Telemetry(messages, self.autopilot)
@@ -162,7 +166,7 @@ class Sitl:
             target = self.autopilot.setpoint(self._now)
             if self.autopilot.setpoints > before and target is not None and self._ended is None:
                 motion = self._episode.motion
-                self._episode.step(target.command(motion.position, motion.yaw))
+                self._episode.step(target.command(motion.position, motion.yaw, self._max_speed))
                 step, waited = step + 1, time.monotonic()
                 self._note(self._now, step)
 
@@ -208,7 +212,7 @@ class Sitl:
         if target is None:
             return np.zeros(3), 0.0
         motion = self._episode.motion
-        return target.demand(motion.position, motion.yaw)
+        return target.demand(motion.position, motion.yaw, self._max_speed)
 
     def _note(self, now: float, steps: int | None = None) -> None:
         """Keeps what has come of a piece or a step that ended at ``now``."""

@@ -11,21 +11,33 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequ
 from torch import Tensor
 from torchrl.checkpoint import Checkpoint
 from torchrl.collectors import BaseCollector
+from torchrl.data import RandomSampler
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
 import uavrl
-from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep
+from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep, Windows
 from uavrl.collectors.base import REQUIRED, EpisodeCollector
 from uavrl.config.build import TARGET, build, find_class, options
 from uavrl.config.context import CONTEXT, refuse_context
 from uavrl.config.parts import STEPPER
 from uavrl.config.settings import TrainConfig
-from uavrl.envs.world import WorldConfig, map_valleys
+from uavrl.envs.privileged import QUANTITIES
+from uavrl.envs.rules import WorldRules
+from uavrl.envs.world import map_places
 from uavrl.errors import UavrlError
-from uavrl.evaluation.actor import loss_class, make_actor, make_network, network_context, saved_sizes
+from uavrl.evaluation.actor import (
+    loss_class,
+    make_actor,
+    make_memory,
+    make_network,
+    network_context,
+    recurrent_shape,
+    saved_sizes,
+)
 from uavrl.evaluation.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
-from uavrl.losses import ActorCriticLoss, ActorPenalty, LifeGuard
+from uavrl.losses import ActorCriticLoss, ActorPenalty, Fork, LifeGuard, SequenceLoss
+from uavrl.models.memory import CRITIC_MEMORY, RecurrentPolicy
 from uavrl.policy_protocol import as_policy
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint
@@ -41,6 +53,7 @@ from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 from uavrl.training.update import ActorCriticStepper
 from uavrl.transforms import Mirror, NavigationState
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION, Demonstrator, DemonstratorEnv
+from uavrl.transforms.privileged import PRIVILEGED
 from uavrl.transforms.rewards import terms_of
 from uavrl_onboard.sentences import require
 
@@ -60,7 +73,8 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         env.close()  # another process makes its own
         source = with_matmul_backend(new_env)
     taken = options({**settings.algo, TARGET: STEPPER})
-    execution = chosen_execution(settings.trainer.execution)
+    # A window is a batch in a batch, of which a recording takes no account.
+    execution = "eager" if loss.learns_from_sequences else chosen_execution(settings.trainer.execution)
     logger = make_logger(
         settings.logger, run_dir, Path(settings.run_dir).name, settings.choices.get("logger", ""), settings.packages
     )
@@ -69,7 +83,9 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         stepper=ActorCriticStepper(loss, **taken, execution=execution),
         cloning=make_cloning(settings, loss, sizes, execution),
         backward_reward=backward_reward,
-        replay=EpisodeReplay(buffer, settings.algo.batch_size, settings.trainer.updates_per_step),
+        replay=EpisodeReplay(
+            buffer, settings.algo.batch_size, settings.trainer.updates_per_step, make_windows(settings, buffer, loss)
+        ),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         rotation=rotation(run_dir, settings.trainer.keep_checkpoints),
         metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__, "commit": commit()},
@@ -92,19 +108,29 @@ def make_loss(
 ) -> ActorCriticLoss:
     """The algorithm's loss with critics of its own, and the actor penalties around it: FORK first, LifeGuard next."""
     loss_type, packages = loss_class(settings), settings.packages
+    memory = make_memory(settings, sizes) if isinstance(actor, RecurrentPolicy) else None
+    more = {} if memory is None else {CRITIC_MEMORY: memory.size}
+    if sizes.privileged:
+        told = "td3 or sac with algo.critic_reads: choose one of them"
+        require(loss_type.critics_may_differ, "algo", told, settings.algo["_target_"])
+        more[PRIVILEGED] = sizes.privileged
     critics = [
         TensorDictModule(
-            make_network("critic", settings, sizes).to(device),
-            in_keys=["observation", "action"],
+            make_network("critic", settings, sizes, *more.values()).to(device),
+            in_keys=[*more, "observation", "action"],
             out_keys=["state_action_value"],
         )
         for _ in range(loss_type.num_critics)
     ]
     written = options(settings.algo, packages, **network_context(sizes))
     refuse_context("algo", written, CONTEXT["algo"])
-    loss = loss_type.of_networks(actor, critics, sizes.action_spec(device), **written)
+    acts = actor.head if isinstance(actor, RecurrentPolicy) else actor
+    loss = loss_type.of_networks(acts, critics, sizes.action_spec(device), **written)
     given = {"gamma": settings.algo.gamma, **network_context(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.actor_penalty, settings.smoothness):
+        forks = part._target_ is not None and issubclass(find_class(str(part._target_), object, packages), Fork)
+        told = "none with recurrent=gru or algo.critic_reads: FORK's critic reads predicted observations alone"
+        require(not (more and forks), "fork", told, part._target_)
         penalized = build(part, ActorPenalty, packages=packages, base=loss, **given)  # type: ignore[type-abstract]
         if penalized is None:
             continue
@@ -120,8 +146,24 @@ def make_loss(
         demonstrated = settings.demonstrated or DEMONSTRATOR_ACTION not in penalized.in_keys
         wanted = f"a scripted controller, such as vfh: {part._target_} learns what it would do"
         require(demonstrated, "demonstrator", wanted, None)
+        trained = memory is not None and any(model.loss is not None for model in penalized.models)
+        told = "another part with recurrent=gru: its models learn from single observations at each update"
+        require(not trained, "actor_penalty", told, part._target_)
         loss = penalized
+    if isinstance(actor, RecurrentPolicy) and memory is not None:
+        loss = SequenceLoss(loss, actor.memory, memory)
     return loss.to(device)
+
+
+def make_windows(settings: TrainConfig, buffer: EpisodeBuffer, loss: ActorCriticLoss) -> Windows | None:
+    """What draws windows of episodes for networks with a memory; None for those without."""
+    if not isinstance(loss, SequenceLoss):
+        return None
+    uniform = isinstance(buffer.sampler, RandomSampler)
+    require(
+        uniform, "buffer", "uniform with a memory: windows of episodes have no priorities", settings.buffer._target_
+    )
+    return Windows(loss.actor_memory.burn_in, loss.actor_memory.length, settings.algo.n_steps)
 
 
 def make_cloning(
@@ -160,8 +202,8 @@ def load_risk(
 def prepare_valleys(settings: TrainConfig) -> None:
     """Maps the valleys of the run here, with a progress line, for the processes that fly in them."""
     world = settings.env.get("world")
-    if isinstance(world, WorldConfig) and collector_class(settings).is_remote:
-        map_valleys(world)
+    if isinstance(world, WorldRules) and collector_class(settings).is_remote:
+        map_places(world)
 
 
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
@@ -169,10 +211,14 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
     callable_type: Any = Callable
     acts = build(settings.demonstrator, callable_type, packages=packages)
+    carried: dict[str, Any] = {
+        "recurrent_state": recurrent_shape(settings),
+        "critic_reads": settings.algo.get("critic_reads", ()),
+    }
     if acts is None:
-        return make_env(*parts, packages=packages, seed=seed)
+        return make_env(*parts, **carried, packages=packages, seed=seed)
     demonstrator = as_policy(acts)
-    env = cast(DemonstratorEnv, make_env(*parts, packages=packages, seed=seed, kind=DemonstratorEnv))
+    env = cast(DemonstratorEnv, make_env(*parts, **carried, packages=packages, seed=seed, kind=DemonstratorEnv))
     require_keys(env, [(demonstrator.in_keys, ())], "demonstrator")
     sizes = network_sizes(env)
     env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions))
@@ -201,7 +247,13 @@ def _make_mirror(settings: TrainConfig) -> Mirror:
     require(known, "buffer.mirror", "false, but with uavrl's perception and perception.angles=folded", True)
     actions = ["action", DEMONSTRATOR_ACTION] if settings.demonstrated else ["action"]
     told = {key: seen[key] for key in ("last_action", "reduction", "grid") if key in seen}
-    return Mirror(actions=actions, motion=seen.get("motion") is not None, **told)
+    signs: list[float] = []
+    for key in settings.algo.get("critic_reads", ()):
+        other = f"false, or algo.critic_reads some of {', '.join(QUANTITIES)}: no mirror image of {key} is known"
+        require(key in QUANTITIES, "buffer.mirror", other, True)
+        signs += QUANTITIES[key].signs
+    signed = dict.fromkeys((PRIVILEGED, ("next", PRIVILEGED)), signs) if signs else {}
+    return Mirror(actions=actions, motion=seen.get("motion") is not None, signed=signed, **told)
 
 
 def make_buffer(settings: TrainConfig, env: EnvBase, sizes: NetworkSizes, device: torch.device) -> EpisodeBuffer:

@@ -8,6 +8,7 @@ from pydantic import Field
 from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor
 
+from uavrl.buffers.sequences import WEIGHT
 from uavrl.losses import ActorCriticLoss
 from uavrl.losses.imitation import action_distance, decayed
 from uavrl.training.compiled import Execution, GradientStep
@@ -68,15 +69,18 @@ class Cloning:
         self.loss, self.limit = loss, limit
         self.steps, self.updates_per_step, self.batch_size = steps, updates_per_step, batch_size
         self.lr, self.final_lr = lr, final_lr
-        actor = [value for value in loss.actor_network_params.values(True, True) if isinstance(value, Tensor)]
         recorded: Execution = "eager" if execution == "eager" else "captured"
-        self.step = GradientStep(self._distance, actor, lr, recorded, FLOWN_STATES)
+        self.step = GradientStep(self._distance, loss.actor_parameters, lr, recorded, FLOWN_STATES)
         self.updates = 0
 
     def _distance(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The mean distance of the actor's action to the demonstrator's, in states ``[B]``."""
-        action = self.loss.act(batch).get("action")
-        return action_distance(action, batch.get(DEMONSTRATOR_ACTION), self.limit).mean(), {}
+        """The mean distance of the actor's action to the demonstrator's, in states ``[B]`` or windows ``[B]``."""
+        states = self.loss.states(batch)
+        distance = action_distance(self.loss.act(states).get("action"), states.get(DEMONSTRATOR_ACTION), self.limit)
+        if self.loss.learns_from_sequences:
+            weight = states.get(WEIGHT)
+            return (weight * distance).sum() / weight.sum(), {}
+        return distance.mean(), {}
 
     @property
     def finished(self) -> bool:
@@ -92,7 +96,8 @@ class Cloning:
         rate = decayed(self.lr, self.final_lr, steps / self.steps)
         for group in self.step.optimizer.param_groups:
             group["lr"] = rate
-        losses = [self.step(batch.select(*FLOWN_STATES)).loss for batch in batches]
+        keys = ("seen", "steps") if self.loss.learns_from_sequences else FLOWN_STATES
+        losses = [self.step(batch.select(*keys)).loss for batch in batches]
         self.updates += len(losses)
         if self.finished:
             self._set_target()
@@ -104,6 +109,7 @@ class Cloning:
         target = getattr(base, "target_actor_network_params", None)
         if isinstance(target, TensorDictParams):
             target.data.update_(base.actor_network_params.data)
+        self.loss.move_memories(1.0)
 
     def state_dict(self) -> dict[str, Any]:
         """Adam and the number of updates; the actor is the loss module's."""

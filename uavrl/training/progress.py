@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import extras
+from uavrl.runs.episodes import RATES
 from uavrl.runs.progress_line import ProgressLine
 from uavrl_onboard.pluralize import pluralize
 
@@ -57,7 +58,7 @@ class Progress:
         self._demonstrated = demonstrated
         self._by_steps = last_step is not None
         self._last_step = math.inf if last_step is None else last_step
-        self._goal = "" if until_success is None else f" of {until_success:.0%}"
+        self._goal = "" if until_success is None else f" of {100 * until_success:g} %"
         self._at_most = "" if until_success is None else "at most "
         self._times: deque[tuple[float, int]] = deque()
         self._compiled = False
@@ -71,11 +72,11 @@ class Progress:
         beside = pluralize(episodes, "episode") if self._by_steps else pluralize(steps, "step")
         left, speed = self._left(episodes, steps), self._speed()
         beside += "" if speed is None else f", {speed:.0f} steps/s"
+        success, collision, time_out = (f"{100 * rates[name]:.1f} %" for name in RATES.values())
         self._bar.set(
             self._gone(episodes, steps),
-            f"{left} | {beside} | "
-            f"last {min(self._window, max(episodes, 1))}: success {rates['arrived']:.1%}{self._goal}, "
-            f"collision {rates['collided']:.1%}, time-out {rates['timed_out']:.1%}, return {mean_return:.1f}",
+            f"{left} | {beside} | last {min(self._window, max(episodes, 1))}: success {success}{self._goal}, "
+            f"collision {collision}, time-out {time_out}, return {mean_return:.1f}",
         )
 
     def _gone(self, episodes: int, steps: int) -> int:

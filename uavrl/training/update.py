@@ -69,13 +69,9 @@ class ActorCriticStepper(OptimizationStepper):
         self.actor_lr, self.actor_lr_decay = actor_lr, actor_lr_decay
         keys = (loss.unwrapped.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
         in_keys = [*loss.in_keys, *keys]
-        critics, actor = (
-            [value for value in params.values(True, True) if isinstance(value, Tensor)]
-            for params in (loss.critic_network_params, loss.actor_network_params)
-        )
-        self.critic = GradientStep(self._value_loss, critics, critic_lr, execution, in_keys)
-        self.actor = GradientStep(loss.actor_loss, actor, actor_lr, execution, in_keys, self._active)
-        self.targets = FusedSoftUpdate(loss.unwrapped, tau=tau)
+        self.critic = GradientStep(self._value_loss, loss.critic_parameters, critic_lr, execution, in_keys)
+        self.actor = GradientStep(loss.actor_loss, loss.actor_parameters, actor_lr, execution, in_keys, self._active)
+        self.targets, self.tau = FusedSoftUpdate(loss.unwrapped, tau=tau), tau
         temperature = loss.unwrapped.alpha_params
         self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
         models = [model for penalty in loss.penalties for model in penalty.models]
@@ -97,7 +93,8 @@ class ActorCriticStepper(OptimizationStepper):
     def step(self, trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
         """Updates on one batch, which gets the new priorities; returns detached losses and the batch's mean value."""
         value = self.critic(sub_batch)
-        sub_batch.set(self.loss.unwrapped.tensor_keys.priority, value.metadata["priority"])
+        if not self.loss.learns_from_sequences:  # in which a priority is that of no row
+            sub_batch.set(self.loss.unwrapped.tensor_keys.priority, value.metadata["priority"])
         for model, on_update in self.models:
             on_update(model(sub_batch).metadata)
         self.updates += 1
@@ -111,6 +108,7 @@ class ActorCriticStepper(OptimizationStepper):
                 self.loss.unwrapped.alpha_loss(actor.metadata["log_prob"]).backward()
                 self.temperature.step()
             self.targets.step()
+            self.loss.move_memories(self.tau)
         return TensorDict({"loss_value": value.loss, "loss_actor": self._actor_loss, "value": value.metadata["value"]})
 
     def _value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:

@@ -5,6 +5,7 @@ from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.mirror import Mirror, mirror_action, mirror_observation
 from uavrl.transforms.motion import MotionSight, MovingObjects
 from uavrl.transforms.observation import LastAction, NavigationObservation, navigation_observation
+from uavrl.transforms.privileged import Privileged
 from uavrl.transforms.range_image import RangeGrid, RangeImage
 from uavrl.transforms.reduction import PointCloudReduction
 from uavrl.transforms.rewards import (
@@ -30,6 +31,7 @@ __all__ = [
     "NavigationReward",
     "NavigationState",
     "PointCloudReduction",
+    "Privileged",
     "RangeGrid",
     "RangeImage",
     "SumOfTerms",

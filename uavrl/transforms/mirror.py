@@ -1,6 +1,6 @@
 """Transitions as they would look in a mirror at the vehicle's side."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 
 import torch
@@ -100,7 +100,7 @@ def mirror_action(action: Tensor) -> Tensor:
 
 
 class Mirror(Shown, Transform):
-    """Shows each transition that a replay buffer samples as its mirror image, half of the time.
+    """Shows each transition or sequence that a replay buffer samples as its mirror image, half of the time.
 
     The sensor and the rewards treat left and right alike, so the image is a transition that could have been seen. The
     rotors turn the same way in both: an episode and its image agree to millimetres, except where commands take the
@@ -111,6 +111,7 @@ class Mirror(Shown, Transform):
         actions: keys of the actions, ``[B, 4]``.
         probability: of the image.
         last_action, motion, reduction, grid: as in :func:`mirror_observation`.
+        signed: keys of other entries, with the signs of their numbers in the image.
 
     Raises:
         ValueError: for a probability outside [0, 1], or an unknown reduction.
@@ -133,21 +134,24 @@ class Mirror(Shown, Transform):
         motion: bool = False,
         reduction: Reduction = "truncated_icosahedron",
         grid: RangeGrid | None = None,
+        signed: Mapping[NestedKey, Sequence[float]] | None = None,
     ) -> None:
         if not 0.0 <= probability <= 1.0:
             raise ValueError(f"probability must be in [0, 1], got {probability}.")
         if reduction not in REDUCTIONS:
             raise ValueError(f"reduction must be one of {', '.join(REDUCTIONS)}, got {reduction!r}.")
         super().__init__(in_keys=[*in_keys, *actions], out_keys=[*in_keys, *actions])
+        self.signed = dict(signed or {})
         self.num_actions, self.probability = len(actions), probability
         self.last_action, self.motion, self.reduction, self.grid = last_action, motion, reduction, grid
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The batch ``[B]`` with some of its transitions mirrored; what was stored stays as it is."""
+        """The batch ``[B]``, or ``[B, T]`` of sequences, with some mirrored; what was stored stays as it is."""
         tensordict = tensordict.copy()  # a slice of a storage is the storage
         observations, actions = self.in_keys[: -self.num_actions], self.in_keys[-self.num_actions :]
         device = entry(tensordict, actions[0], self).device
-        mirrored = (torch.rand(tensordict.batch_size, device=device) < self.probability).unsqueeze(-1)
+        drawn = torch.rand(tensordict.batch_size[:1], device=device) < self.probability
+        mirrored = drawn.reshape(*drawn.shape, *[1] * tensordict.ndim)
         observed = partial(
             mirror_observation,
             last_action=self.last_action,
@@ -159,4 +163,7 @@ class Mirror(Shown, Transform):
             for key in keys:
                 value = entry(tensordict, key, self)
                 tensordict.set(key, torch.where(mirrored, image(value), value))
+        for key, signs in self.signed.items():
+            value = entry(tensordict, key, self)
+            tensordict.set(key, torch.where(mirrored, value * value.new_tensor(signs), value))
         return tensordict

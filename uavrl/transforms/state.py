@@ -55,13 +55,13 @@ def cell_directions(reduction: Reduction, grid: RangeGrid | None = None) -> Tens
     return REDUCTIONS[reduction].directions()
 
 
-def _with_last_action() -> Iterator[Transform]:
+def _with_last_action(max_speed: float) -> Iterator[Transform]:
     yield LastAction()
-    yield ObservationNorm(loc=0.0, scale=1.0 / ACTION_LIMIT, in_keys=["last_action"])
+    yield ObservationNorm(loc=0.0, scale=1.0 / max_speed, in_keys=["last_action"])
     yield CatTensors(["observation", "last_action"], "observation", del_keys=True, sort=False)
 
 
-def _with_motion(max_range: float) -> Iterator[Transform]:
+def _with_motion(max_range: float, max_speed: float) -> Iterator[Transform]:
     scale = torch.tensor(scales(max_range), dtype=torch.float32).reciprocal()
     yield ObservationNorm(
         0.0,
@@ -70,7 +70,7 @@ def _with_motion(max_range: float) -> Iterator[Transform]:
         out_keys=["scaled_objects"],
         standard_normal=False,
     )
-    yield Threats(ACTION_LIMIT)
+    yield Threats(max_speed)
     yield CatTensors(["observation", "scaled_objects", "threats"], "observation", del_keys=True, sort=False)
 
 
@@ -104,6 +104,7 @@ class NavigationState(Shown, Compose):
         motion: how far :class:`MovingObjects` are looked for, m, of which an observation then also holds the nearest
             three and their :class:`Threats`; the scan must reach as far. None: not at all.
         frames: observations in a state.
+        max_speed: limit of each component of the velocity, m/s, which a network reads as 1.
 
     Examples:
         >>> from torchrl.envs import TransformedEnv
@@ -127,13 +128,15 @@ class NavigationState(Shown, Compose):
         grid: RangeGrid | None = None,
         last_action: bool = False,
         motion: Annotated[float, Field(gt=0, le=1000)] | None = None,
+        max_speed: Positive = VEHICLE.velocity_limit,
     ) -> None:
         reduced = make_reduction(reduction, grid, radius=radius, statistic=statistic)
+        self.max_speed = float(max_speed)
         super().__init__(
             *([MovingObjects(motion, MOVING_OBJECTS, FAR_EVERY)] if motion is not None else ()),
             reduced,
             NavigationObservation(radius, flight_level, angles),
-            *(_with_motion(motion) if motion is not None else ()),
-            *(_with_last_action() if last_action else ()),
+            *(_with_motion(motion, max_speed) if motion is not None else ()),
+            *(_with_last_action(max_speed) if last_action else ()),
             Frames(frames, dim=-1, in_keys=["observation"], padding="constant", padding_value=0.0),
         )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from uavrl.envs.terrain import HeightField
+from uavrl.evaluation.interventions import intervention_texts
 from uavrl.evaluation.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.evaluation.smoothness import smoothness_texts
 from uavrl_onboard.files import replacing
@@ -71,6 +72,8 @@ def above_ground(scenery: Scenery) -> dict[str, np.ndarray]:
 
     Triangles under the ground or beyond the valley's edge are left out; corners that stick through it are put on it.
     """
+    if not scenery.heights.size:  # the obstacles hold the ground
+        return {"vertices": scenery.vertices, "triangles": scenery.triangles, "kinds": scenery.kinds}
     size = (float(scenery.size[0]), float(scenery.size[1]))
     inside = (np.abs(scenery.vertices[:, :2]) < scenery.size / 2).all(1)
     xy = np.clip(scenery.vertices[:, :2], -scenery.size / 2, scenery.size / 2)
@@ -83,6 +86,12 @@ def above_ground(scenery: Scenery) -> dict[str, np.ndarray]:
 def _scenery(scenery: Scenery) -> dict[str, Any]:
     values = {field.name: getattr(scenery, field.name) for field in fields(scenery)} | above_ground(scenery)
     data = {name: pack(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}
+    if not scenery.heights.size:
+        del data["heights"]
+        x, y = (scenery.size / 2 + 1.0).tolist()
+        z = scenery.vertices[:, 2]
+        top = max(float(scenery.goal[1]), float(z.max(initial=0.0)))
+        data["box"] = [[-x, x], [-y, y], [min(-2.0, float(z.min(initial=0.0))), top + 1.0]]
     return {**data, "kind_colours": [KINDS.get(kind, OTHER_KIND) for kind in scenery.kind_names]}
 
 
@@ -97,7 +106,10 @@ def _flight(flight: RecordedFlight, most: int) -> dict[str, Any]:
         "reward_names": list(flight.reward_names),
         **{name: getattr(flight.summary, name) for name in shown},
         "position_stats": flight.position_stats,
-        "smoothness": smoothness_texts(flight.summary.action_change, flight.summary.yaw_reversals),
+        "smoothness": {
+            **smoothness_texts(flight.summary.action_change, flight.summary.yaw_reversals),
+            **intervention_texts(flight.summary.guard_share, flight.summary.guard_change),
+        },
     }
 
 

@@ -189,3 +189,13 @@ def test_guards_know_the_vehicle() -> None:
         guards.lead(situation(np.array([[1.2, 0.0, -0.1]])))
         flown.append(guards.filter(ASKED)[0, 0])
     assert flown[0] - flown[1] == pytest.approx(0.2, abs=1e-5)
+
+
+def test_motion_is_looked_for_where_the_lidar_looks() -> None:
+    """A plane crosses 30 degrees above the vehicle, where a VLP-16 sees nothing and a Mid-360 does."""
+    for elevations, found in (((-15.0, 15.0), False), ((-7.0, 52.0), True)):
+        guards = Guards(GuardSettings(evasion=EvasionSettings()), 1, Vehicle(lidar_elevations=elevations))
+        for step in range(12):
+            place = crossing(step) + np.array([0.0, 0.0, 3.0])
+            guards.lead(seen := situation(place))
+        assert bool(seen.objects.any()) == found

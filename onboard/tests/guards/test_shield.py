@@ -9,7 +9,7 @@ import pytest
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.guards.shield import Shield, fitted
-from uavrl_onboard.vehicle import Vehicle
+from uavrl_onboard.vehicle import DECELERATION, Vehicle
 
 LEVEL = (0.0, 0.0)
 STILL = np.zeros(3)
@@ -126,3 +126,19 @@ def test_a_velocity_beyond_the_limit_keeps_its_direction() -> None:
 def test_the_vehicles_own_parts_are_no_obstacle() -> None:
     rotors = np.array([[0.2, 0.2, -0.1], [0.2, -0.2, -0.1], [-0.2, 0.2, -0.1], [-0.2, -0.2, -0.1]])
     assert Shield()(FAST, rotors, LEVEL, STILL).tolist() == FAST.tolist()
+
+
+@pytest.mark.parametrize("limit", [4.0, 6.0])
+def test_a_fast_vehicle_brakes_before_a_wall_as_hard_as_it_can_tilt(limit: float) -> None:
+    shield = Shield(vehicle=Vehicle(velocity_limit=limit))
+    y, z = (part.ravel() for part in np.meshgrid(np.linspace(-3, 3, 61), np.linspace(-1, 1, 21)))
+    place, velocity, step = 0.0, limit, 0.02
+    for _ in range(500):
+        wall = np.stack([np.full_like(y, 12.0 - place), y, z], -1)
+        asked = shield(np.array([limit, 0.0, 0.0]), wall, (0.0, 0.0), np.array([velocity, 0.0, 0.0]))[0]
+        velocity += min(max(asked - velocity, -DECELERATION * step), DECELERATION * step)
+        place += step * velocity
+    assert 10.5 < place < 12.0 - shield.vehicle.radius
+    assert velocity == pytest.approx(0.0, abs=0.05)
+    held = Shield(vehicle=Vehicle(velocity_limit=2.0))
+    assert held(np.array([2.0, 0.0, 0.0]), np.array([[3.0, 0, 0]]), (0.0, 0.0), np.zeros(3))[0] == 2.0

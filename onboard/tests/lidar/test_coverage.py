@@ -146,6 +146,17 @@ def test_empty_scans_stop_the_flight() -> None:
     assert states[-1].state is SafetyState.SILENT
 
 
+def test_what_lies_beside_a_narrow_field_of_view_is_not_missed() -> None:
+    ahead = cut(44.0, 316.0)
+    narrow, round_about = Coverage((-43.5, 43.5)), Coverage()
+    assert not any(narrow.add(ahead, 0.0) for _ in range(30))
+    assert round_about is not None and any(round_about.add(ahead, 0.0) for _ in range(30))
+    nothing_to_the_left = ahead[np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0])) < 0.0]
+    half = Coverage((-43.5, 43.5))
+    doubts = [half.add(nothing_to_the_left, 0.0) for _ in range(30)]
+    assert doubts[-1] is not None and doubts[-1].kind == "half_scan"
+
+
 @pytest.mark.parametrize("unit", [1000.0, 1e6, 100.0])
 def test_ranges_in_another_unit_are_certain(unit: float) -> None:
     """A room of 2 to 6 m, or in centimetres one of twenty times that size."""

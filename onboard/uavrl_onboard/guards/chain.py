@@ -13,6 +13,7 @@ from uavrl_onboard.guards.map import Wayfinder
 from uavrl_onboard.guards.protocol import Guard, Situation
 from uavrl_onboard.guards.settings import EvasionSettings, GuardSettings, MapSettings, ShieldSettings
 from uavrl_onboard.guards.shield import Shields
+from uavrl_onboard.perception.motion.occlusion import Grid
 from uavrl_onboard.perception.motion.rays import far_rays
 from uavrl_onboard.perception.motion.sight import MotionSight
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
@@ -68,7 +69,9 @@ class Guards:
         self.guards = {name: GUARDS[name](getattr(settings, name), vehicles, vehicle) for name in settings.names}
         self._sight: MotionSight | None = None
         if settings.evasion is not None:
-            self._sight = MotionSight(vehicles, settings.evasion.sight, settings.evasion.objects, vehicle.period)
+            grid = Grid.of_elevations(*vehicle.lidar_elevations)
+            seen = settings.evasion
+            self._sight = MotionSight(vehicles, seen.sight, seen.objects, vehicle.period, grid)
         self._seen: Situation | None = None
 
     def reset(self, which: np.ndarray | None = None, *, keep_map: bool = False) -> None:

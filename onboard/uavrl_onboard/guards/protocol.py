@@ -30,7 +30,7 @@ class Situation:
 
     Attributes:
         objects: The nearest moving objects, ``float32 [N, K, 7]`` as
-            :class:`~uavrl_onboard.perception.motion.MotionSight` reports them.
+            ``MotionSight`` reports them.
         moving: Of each vehicle, which points of its scan belong to moving objects, ``bool [P]``; None for no point.
         bodies: Of each vehicle, all moving objects, ``[M, 7]``.
     """
@@ -47,6 +47,7 @@ class Situation:
     objects: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 7), np.float32))
     moving: list[np.ndarray | None] = field(default_factory=list)
     bodies: list[np.ndarray] = field(default_factory=list)
+    _standing: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Begin with nothing that moves."""
@@ -57,7 +58,11 @@ class Situation:
     def standing(self, vehicle: int) -> np.ndarray:
         """Return the scan of one vehicle without the points of moving objects, ``[P, 3]``."""
         moving, cloud = self.moving[vehicle], self.clouds[vehicle]
-        return cloud if moving is None or not moving.any() else cloud[~moving]
+        if moving is None or not moving.any():
+            return cloud
+        if vehicle not in self._standing:  # map and shield ask for it
+            self._standing[vehicle] = cloud.take(np.flatnonzero(~moving), axis=0)
+        return self._standing[vehicle]
 
 
 class Guard(Protocol):

@@ -10,7 +10,7 @@ import numpy as np
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.geometry import body_to_level, is_inside, is_return, within, world_to_yaw
 from uavrl_onboard.guards.protocol import Situation
-from uavrl_onboard.vehicle import VEHICLE, Vehicle
+from uavrl_onboard.vehicle import DECELERATION, VEHICLE, Vehicle, stopping_distance
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
 SWEEPS = 20  # most corrections of a velocity
@@ -116,12 +116,27 @@ class Shield:
         towards, gaps = steepest / slopes[:, None], (distances - kept) / slopes
         gaps -= self.lag * (towards @ velocity).clip(min=0.0)
         chosen = _nearest_of_each_direction(towards, gaps)
-        return towards[chosen], gaps[chosen].clip(min=0.0) / self.time
+        return towards[chosen], self._closing(gaps[chosen].clip(min=0.0))
+
+    @property
+    def _is_fast(self) -> bool:
+        return self.vehicle.velocity_limit > VEHICLE.velocity_limit
+
+    def _closing(self, gaps: np.ndarray) -> np.ndarray:
+        """How fast gaps in m may be closed, m/s; by a fast vehicle only so that it can brake as it tilts."""
+        if not self._is_fast:
+            return np.asarray(gaps / self.time)
+        fastest = DECELERATION * self.time  # with gap / time the vehicle brakes by speed / time
+        beyond = (gaps - fastest * self.time).clip(min=0.0)
+        return np.where(beyond > 0, np.sqrt(fastest**2 + 2 * DECELERATION * beyond), gaps / self.time)
 
     def _points(self, cloud: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
         """The returns within sight and outside the hull, from its middle, in level axes: ``[M, 3]`` in m."""
         level = body_to_level(np.array([[*tilt, 0.0]]))[0]
-        points = np.asarray(cloud[is_return(cloud, within(self.sight))], float)
+        sight = self.sight
+        if self._is_fast:  # it brakes earlier
+            sight += stopping_distance(self.vehicle.velocity_limit)
+        points = np.asarray(cloud[is_return(cloud, within(sight))], float)
         points = points + np.array([0.0, 0.0, self.vehicle.lidar_above])
         return np.asarray(points[~is_inside(points, self.vehicle.hull)] @ level.T)
 

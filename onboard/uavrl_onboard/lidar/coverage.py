@@ -60,13 +60,22 @@ class Coverage:
     lost where near returns cease in all of it from one scan to the next. Ranges that nobody can have measured are
     certain, too, and so are scans of which each holds another part of a turn.
 
+    Args:
+        sides: the right and the left border of the sensor's field of view in degrees; what lies beside it is never
+            missed.
+
     Examples:
         >>> coverage, nothing = Coverage(), np.full((100, 3), np.nan)
         >>> [coverage.add(nothing) for _ in range(EMPTY)][-1].kind
         'empty_scans'
     """
 
-    def __init__(self) -> None:
+    def __init__(self, sides: tuple[float, float] = (-180.0, 180.0)) -> None:
+        right, left = sides
+        degrees = (np.arange(360) + 0.5 + 180.0) % 360.0 - 180.0
+        self._beside = (degrees < right + _EDGE) | (degrees > left - _EDGE)
+        if left - right > 360.0 - _EDGE:
+            self._beside[:] = False
         self._empty, self._odd, self._scans = 0, 0, 0
         self._near: deque[np.ndarray] = deque(maxlen=WATCHED)  # bool: wide directions that have near returns
         self._recent: deque[np.ndarray] = deque(maxlen=WATCHED)  # bool [360] each: degrees that have returns
@@ -106,7 +115,7 @@ class Coverage:
         x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
         degree = np.floor(np.degrees(np.arctan2(y, x))).astype(int) % 360
         far = np.hypot(x, y)
-        seen = np.bincount(degree, minlength=360) > 0
+        seen = (np.bincount(degree, minlength=360) > 0) | self._beside
         self._recent.append(seen)
         self._ever |= seen
         coarse = seen.reshape(-1, _COARSE).any(1)

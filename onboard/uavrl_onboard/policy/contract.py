@@ -95,7 +95,7 @@ class Contract(ContractPart):
             flight_level: the altitude that is 0 in an observation, m.
             angles: how the angles to the goal are scaled.
             frames: observations in a state.
-            action_limit: the greatest velocity in m/s, and yaw rate in rad/s.
+            action_limit: the greatest velocity in m/s; the yaw rate is cut at 2 rad/s.
             last_action: whether an observation holds the previous action.
             motion: how moving objects are detected.
             guards: those that it flies with by default.
@@ -111,7 +111,8 @@ class Contract(ContractPart):
         observation = _entries(cells, flight_level, angles, motion, action_limit if last_action else None)
         size = frames * sum(entry.size for entry in observation)
         more = says.MOTION_POSE if motion is not None else {}
-        low, high = ((sign * action_limit,) * 4 for sign in (-1.0, 1.0))
+        turn = min(action_limit, Vehicle().yaw_rate_limit)
+        low, high = ((*(sign * action_limit,) * 3, sign * turn) for sign in (-1.0, 1.0))
         return cls(
             format=FORMAT,
             version=VERSION,
@@ -138,9 +139,11 @@ class Contract(ContractPart):
     def vehicle(self) -> Vehicle:
         """The vehicle that the policy was trained to fly; its hull is that of the guards, if there are any."""
         velocity_limit, _, _, yaw_rate_limit = self.action.high
-        hull = {} if self.guards is None else {"radius": self.guards.radius, "height": self.guards.height}
+        lidar = self.cloud.lidar
+        about: dict[str, Any] = {} if lidar is None else {"lidar_elevations": lidar.field_of_view[2:]}
+        about |= {} if self.guards is None else {"radius": self.guards.radius, "height": self.guards.height}
         return Vehicle(
-            **hull,
+            **about,
             lidar_position=self.cloud.sensor_position,
             velocity_limit=velocity_limit,
             yaw_rate_limit=yaw_rate_limit,

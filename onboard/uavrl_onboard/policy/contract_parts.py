@@ -27,6 +27,7 @@ from uavrl_onboard.perception.reductions import Reduction, directions
 from uavrl_onboard.policy import explanations as says
 from uavrl_onboard.vehicle import Vehicle
 
+VLP16 = "vlp16"
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]
 Texts = tuple[str, str, str, str]
@@ -57,6 +58,14 @@ class ContractPart(BaseModel):
         return {name: value for name, value in dump(self).items() if value is not None or fields[name].is_required()}
 
 
+class LidarTerms(ContractPart):
+    """The LiDAR that a policy was trained with: what it does not see, the policy has never seen."""
+
+    name: str
+    field_of_view: Four
+    unit: str = says.FIELD_OF_VIEW
+
+
 class Cloud(ContractPart):
     """A scan, and which of its points count."""
 
@@ -69,11 +78,21 @@ class Cloud(ContractPart):
     miss: str = says.MISS
     squared_range: tuple[float, float]
     blind: bool  #: whether the policy was trained with misses alone
+    lidar: LidarTerms | None = None  #: of the training; None for a VLP-16
 
     @classmethod
-    def of(cls, radius: float, sensor_position: Three, blind: bool = False) -> Cloud:
+    def of(cls, radius: float, sensor_position: Three, blind: bool = False, lidar: LidarTerms | None = None) -> Cloud:
         """Return the part for a ball of ``radius`` metres around the sensor."""
-        return cls(sensor_position=sensor_position, squared_range=return_bounds(radius), blind=blind)
+        scan = says.SENSOR
+        if lidar is not None and lidar.name != VLP16:
+            scan = f"one scan of the LiDAR {lidar.name}; the points may come in any order"
+        return cls(
+            sensor=scan,
+            sensor_position=sensor_position,
+            squared_range=return_bounds(radius),
+            blind=blind,
+            lidar=lidar,
+        )
 
 
 class Cells(ContractPart):
@@ -324,6 +343,16 @@ class GuardTerms(ContractPart):
         return "guards.map is another map"
 
 
+class MemoryTerms(ContractPart):
+    """What a network remembers from step to step: an input and an output more."""
+
+    input: str
+    output: str
+    size: Size
+    initial: float = 0.0
+    does: str = says.MEMORY
+
+
 class Network(ContractPart):
     """The file of the network."""
 
@@ -332,6 +361,7 @@ class Network(ContractPart):
     opset: Annotated[int, Field(ge=1, le=1000)]
     input: str
     output: str
+    memory: MemoryTerms | None = None  #: None for a network that remembers nothing
 
 
 def rounded(numbers: np.ndarray) -> list[Any]:

@@ -11,6 +11,7 @@ MOMENT = "the cloud and the pose belong to the same moment, and the vehicle flie
 
 CLOUD_FRAME = "sensor: x forward, y left, z up; fixed to the vehicle, so that it tilts with the vehicle"
 SENSOR = "one revolution of a Velodyne VLP-16; the points may come in any order"
+FIELD_OF_VIEW = "degrees: the rightmost, leftmost, lowest and highest ray; 0 is ahead, left and up are positive"
 POSITION = "sensor_position is measured in body axes from the centre of the airframe"
 MISS = "a point with a coordinate that is not finite, or with x² + y² + z² outside squared_range or at one of its ends"
 
@@ -55,6 +56,13 @@ ORDER = "oldest observation first"
 CLIP = "to low and high, before the vehicle flies it"
 ACTION_FRAME = "yaw-aligned body frame: world axes rotated about the vertical by the yaw only, level at any tilt"
 HOLDS = "until the next action"
+
+MEMORY = (
+    "the network also reads size numbers, float32, as its input of this name, and gives as many as its output of this "
+    "name, which are the input of the next step of the same vehicle. They are initial at the first step of an episode, "
+    "which begins at take-off and wherever the policy has not acted for a while. Call the network once per step, and "
+    "keep the numbers of a vehicle apart from those of others"
+)
 
 _UNITS = {"velocity": "m/s, over ground", "size": "m, the diagonal of the bounding box of its points"}
 OBJECT_NUMBERS = [f"{name} ({_UNITS.get(name.split()[-1], 'm')})" for name in OBJECT]

@@ -62,6 +62,7 @@ class Policy:
         self._motion = None if self.contract.motion is None else MotionReader(self.contract.motion)
         self.cells = None
         self.last_action = np.zeros(len(self.contract.action.order), np.float32)
+        self._memory = self._network.new_memory(1)
 
     def copy(self) -> Policy:
         """The same policy for another vehicle, at the beginning of an episode."""
@@ -71,11 +72,12 @@ class Policy:
         return other
 
     def reset(self) -> None:
-        """Forgets observations, action and what has moved, as at the beginning of an episode."""
+        """Forgets observations, action, memory and what has moved, as at the beginning of an episode."""
         self._state.reset()
         if self._motion is not None:
             self._motion.reset()
         self.last_action = np.zeros_like(self.last_action)
+        self._memory = self._network.new_memory(1)
 
     def __call__(
         self,
@@ -112,7 +114,8 @@ class Policy:
                 stays what it was.
         """
         state = self.state(cloud, altitude, heading_deg, elevation_deg, velocity, attitude, elapsed)
-        self.last_action = self._network(state[None])[0]
+        actions, self._memory = self._network(state[None], self._memory)
+        self.last_action = actions[0]
         return self.last_action.copy()
 
     def state(
@@ -140,7 +143,10 @@ class Policy:
 
 
 class _Network:
-    """``policy.onnx``: states ``float32 [N, S]`` to actions ``[N, 4]`` within the contract's limits."""
+    """``policy.onnx``: states ``float32 [N, S]`` to actions ``[N, 4]`` within the contract's limits.
+
+    What it remembers is ``[N, M]``, and ``[N, 0]`` for a network that remembers nothing.
+    """
 
     def __init__(self, folder: Path, contract: Contract) -> None:
         self._path, about = folder / NETWORK, contract.network
@@ -154,11 +160,15 @@ class _Network:
             raise UavrlError(
                 f"{self._path} is damaged, or of another policy than {CONTRACT} (its checksum differs): {REMEDY}."
             )
-        self._names, self._width = (about.input, about.output), contract.state.size
         self._limits = np.array(contract.action.low, np.float32), np.array(contract.action.high, np.float32)
+        self._inputs, self._outputs = {about.input: contract.state.size}, {about.output: len(self._limits[0])}
+        self._remembered, self._initial = 0, 0.0
+        if about.memory is not None:
+            self._remembered, self._initial = about.memory.size, about.memory.initial
+            self._inputs[about.memory.input] = self._outputs[about.memory.output] = self._remembered
         self._session = self._opened(content)
         for number in (1, 3):
-            self(np.zeros((number, self._width), np.float32))
+            self(np.zeros((number, contract.state.size), np.float32), self.new_memory(number))
 
     def _opened(self, content: bytes) -> Any:
         onnxruntime = needed("onnxruntime", str(self._path), "onnx")
@@ -175,21 +185,28 @@ class _Network:
                 f"{self._path} is no network that ONNX Runtime opens ({_reason(error)}): {REMEDY}."
             ) from error
         found = [[(part.name, part.type, part.shape[1:]) for part in parts] for parts in _ends(session)]
-        wanted = zip(self._names, (self._width, len(self._limits[0])), strict=True)
-        if found != [[(name, "tensor(float)", [width])] for name, width in wanted]:
+        ends = (self._inputs, self._outputs)
+        if found != [[(name, "tensor(float)", [width]) for name, width in end.items()] for end in ends]:
             raise UavrlError(f"{self._path} reads and gives {found}, which is not what {CONTRACT} says: {REMEDY}.")
         return session
 
-    def __call__(self, states: np.ndarray) -> np.ndarray:
+    def new_memory(self, number: int) -> np.ndarray:
+        """Return what is remembered at the beginning of an episode, ``float32 [number, M]``."""
+        return np.full((number, self._remembered), self._initial, np.float32)
+
+    def __call__(self, states: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return actions and the next memory."""
+        read = dict(zip(self._inputs, (states, memory), strict=False))
         try:
-            (actions,) = self._session.run([self._names[1]], {self._names[0]: states})
+            given = self._session.run(list(self._outputs), read)
         except Exception as error:
             raise UavrlError(f"{self._path} fails on a state of its contract ({_reason(error)}): {REMEDY}.") from error
-        if actions.shape != (len(states), len(self._limits[0])):
-            raise UavrlError(f"{self._path} gives {actions.shape} for {len(states)} states: {REMEDY}.")
-        if not np.isfinite(actions).all():
-            raise UavrlError(f"{self._path} answers with numbers that are not finite: do not fly it.")
-        return actions.clip(*self._limits)
+        for part, width in zip(given, self._outputs.values(), strict=True):
+            if part.shape != (len(states), width):
+                raise UavrlError(f"{self._path} gives {part.shape} for {len(states)} states: {REMEDY}.")
+            if not np.isfinite(part).all():
+                raise UavrlError(f"{self._path} answers with numbers that are not finite: do not fly it.")
+        return given[0].clip(*self._limits), given[1] if self._remembered else memory
 
 
 def _check_numpy(runtime: str) -> None:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDictBase
@@ -65,6 +66,17 @@ def test_altitudes_are_drawn_from_the_packaged_evaluations(tmp_path: Path) -> No
     low, middle, high = (float(x) for x in printed.split("%: ")[1].split(" m")[0].split(" / "))
     assert 0 < low < middle < high < 5
     assert (tmp_path / "altitudes.png").stat().st_size > 5_000
+
+
+def test_a_scan_and_its_cells_are_drawn(tmp_path: Path) -> None:
+    drawing = runpy.run_path(str(FIGURES / "reduction.py"))
+    cells = np.zeros(72, np.float32)
+    cells[[1, 3 * 6 + 2, 3 * 12]] = 1.0  # ahead in the middle, to the left above, behind below
+    image = drawing["picture_of"](cells)
+    assert np.argwhere(np.isfinite(image)).tolist() == [[0, 0], [0, 24], [1, 12], [2, 6]] and image[1, 12] == 3.0
+    printed = said(FIGURES / "reduction.py", "--output", tmp_path / "reduction.png")
+    assert "of 72 cells" in printed and int(printed.split()[0]) > 1000
+    assert (tmp_path / "reduction.png").stat().st_size > 20_000
 
 
 def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from uavrl.cli import export
 from uavrl.config import compose, validate
 from uavrl_onboard.perception.reductions import truncated_icosahedron
 
-PAGES = {page.stem: page for page in sorted((ROOT / "docs/howto").glob("*.md"))}
+PAGES = {page.stem: page for page in [*sorted((ROOT / "docs/howto").glob("*.md")), ROOT / "docs/lidar.md"]}
 
 
 def blocks(page: str, kind: str) -> list[str]:

@@ -33,6 +33,16 @@ DECAY = ["actor_penalty.final_weight=0.2", "actor_penalty.decay_steps=400", "smo
 GUIDED = ["demonstrator=vfh", "actor_penalty=imitation", *DECAY, "algo.learning_starts=60", *SEEN]
 
 CLONED = ["cloning=dagger", "cloning.steps=120", "cloning.batch_size=16", *GUIDED]  # and TD3 after that
+RECURRENT = [  # clones, and then learns as CLONED does, on windows, with critics that know more
+    *CLONED,
+    "recurrent=gru",
+    "recurrent.size=8",
+    "recurrent.burn_in=3",
+    "recurrent.length=4",
+    "perception.frames=1",
+    "algo.n_steps=3",
+    "algo.critic_reads=[clearance,planes,wind]",
+]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 
@@ -109,7 +119,7 @@ def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]],
 @pytest.mark.parametrize(
     "overrides",
     [
-        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, RANDOMIZED, GUIDED, CLONED),
+        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, RANDOMIZED, GUIDED, CLONED, RECURRENT),
         *(pytest.param(o, marks=pytest.mark.slow) for o in (DDPG, SAC)),
     ],
 )

@@ -22,13 +22,16 @@ from uavrl_onboard.flight.logged_flight import LoggedFlight
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     page = tmp_path_factory.mktemp("browser") / "page.html"
-    write_page(small_recording(), page)
+    recording = small_recording()
+    write_page(replace(recording, source={**recording.source, "training_steps": 12_345}), page)
     with browser_with(page) as driver:
         yield driver
 
 
 def test_a_browser_plays_the_flight_without_errors(browser: Any) -> None:
     flight = small_recording().flights[0]
+    assert browser.title == "straight, 12,345 training steps – uavrl replay"
+    assert browser.find_element("id", "source").text == "straight, 12,345 training steps"
     move = """
         document.getElementById("slider").value = arguments[0];
         document.getElementById("slider").dispatchEvent(new Event("input"));

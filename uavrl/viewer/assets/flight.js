@@ -312,7 +312,7 @@ function choose(index) {
     .then(() => show(0));
 }
 
-function went({ altitude, height_quarters: quarters, wall_distance: wall }) { // 5, 50 and 95 % of the steps
+function went({ altitude, height_quarters: quarters, wall_distance: wall }) { // the 5th, 50th and 95th percentile
   const spread = ({ p5, p50, p95 }) => `${[p5, p50, p95].map((value) => number(value, 1)).join(" / ")} m`;
   return { "altitude": spread(altitude), "to the nearest wall": spread(wall),
     "time in each quarter of the height": `${quarters.map((share) => Math.round(100 * share)).join(" / ")} %` };
@@ -362,12 +362,13 @@ function othersColours() { // equal stripes of the colours that the flights have
 
 function start() {
   const { source } = data;
-  $("source").textContent = "A quadrotor finds its way by LiDAR";
   const name = source.log ?? source.run ?? source.policy;
-  const parts = source.log ? [source.log, source.started.replace("T", " ").slice(0, 19), "UTC"] : [`flown by ${name}`, source.env && `${source.env} valley`, source.seed !== undefined && `tasks of seed ${source.seed}`,
-    source.training_steps && `after ${source.training_steps.toLocaleString("en")} steps of training`];
+  const trained = source.training_steps ? `, ${source.training_steps.toLocaleString("en")} training steps` : "";
+  $("source").textContent = name + trained;
+  const parts = source.log ? [source.started.replace("T", " ").slice(0, 19), "UTC"] :
+    ["a quadrotor finds its way by LiDAR", source.env && `${source.env} valley`, source.seed !== undefined && `tasks of seed ${source.seed}`];
   $("setting").textContent = parts.filter(Boolean).join(" · ");
-  document.title = `${name} – uavrl replay`;
+  document.title = `${name}${trained} – uavrl replay`;
   flights.forEach((item, i) => element("option", { value: i }, $("flight"),
     `task ${item.task}: ${OUTCOMES[item.outcome][0]}, ${item.steps} steps`));
   $("flight").hidden = flights.length < 2;

@@ -54,7 +54,7 @@ class EpisodeMap:
 
         Args:
             place: of the body, ``[2]`` in m.
-            velocity: ``[2]`` in m/s; it is taken to have flown straight on for the last :data:`PAST` seconds.
+            velocity: ``[2]`` in m/s; it is taken to have flown straight on for the last ``PAST`` seconds.
             radius: of the body, in m.
             now: time in s.
 

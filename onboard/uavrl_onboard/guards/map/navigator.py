@@ -93,7 +93,7 @@ class Navigator:
             place: ``[3]``, of the vehicle in m, in axes whose z is the altitude.
             goal: ``[2]`` m, in the same axes.
             bodies: ``[M, 7]``, moving objects as
-                :class:`~uavrl_onboard.perception.motion.MotionSight` reports them. Their points are not in ``cloud``;
+                ``MotionSight`` reports them. Their points are not in ``cloud``;
                 cells that they left before they were known to move are forgotten.
         """
         if not np.isfinite([*attitude, *place]).all() or np.abs(place).max() > FARTHEST:

@@ -24,6 +24,20 @@ class Grid(NamedTuple):
     lowest: float = np.radians(-15.0)
     highest: float = np.radians(15.0)
 
+    @classmethod
+    def of_elevations(cls, lowest: float, highest: float) -> "Grid":
+        """Return the grid for rays between two elevations in degrees, with a row for every 2 degrees.
+
+        Examples:
+            >>> Grid.of_elevations(-15.0, 15.0) == Grid(), Grid.of_elevations(-7.0, 52.0).rows
+            (True, 31)
+        """
+        if highest - lowest < 2.0:  # one plane
+            middle = (lowest + highest) / 2
+            lowest, highest = middle - 1.0, middle + 1.0
+        rows = round((highest - lowest) / 2.0) + 1
+        return cls(rows=rows, lowest=np.radians(lowest), highest=np.radians(highest))
+
     def cells(self, points: np.ndarray, ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Row, with its fraction, and column of each of ``points [3, M]`` at ``ranges [M]``."""
         x, y, z = points

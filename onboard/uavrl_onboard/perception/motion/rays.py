@@ -30,6 +30,11 @@ def far_rays(points: np.ndarray) -> np.ndarray:
         >>> np.degrees(np.arctan2(far_rays(points)[:, 1], far_rays(points)[:, 0])).round(1).tolist()
         [-0.0, -1.0]
     """
+    return points[far_ray_indices(points)]
+
+
+def far_ray_indices(points: np.ndarray) -> np.ndarray:
+    """Of points ``[P, 3]``, or the directions of a sensor's rays, the places of those that count, ``[Q]``."""
     known = np.flatnonzero(is_return(points))
     azimuth = np.arctan2(-points[known, 1], points[known, 0]) % (2.0 * np.pi)
     cycle = np.floor(azimuth / AZIMUTH_STEP - FIRST).astype(np.int64)
@@ -39,4 +44,4 @@ def far_rays(points: np.ndarray) -> np.ndarray:
     np.minimum.at(nearest, sector, off)
     fine = (nearest == 0).sum() >= FINE * (nearest < FAR_EVERY).sum()
     kept = np.flatnonzero(off == (0 if fine else nearest[sector]))
-    return points[known[kept[np.argsort(azimuth[kept], kind="stable")]]]
+    return np.asarray(known[kept[np.argsort(azimuth[kept], kind="stable")]])

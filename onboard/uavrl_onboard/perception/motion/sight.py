@@ -8,7 +8,7 @@ import numpy as np
 from uavrl_onboard.geometry import body_to_world, yaw_rotation
 from uavrl_onboard.perception.motion.occlusion import CellIndices, EarlierScans, Grid, Returns, find_returns
 from uavrl_onboard.perception.motion.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
-from uavrl_onboard.perception.motion.tracks import AROUND, LINK, LabelledReturns, Track, follow, squared_distances
+from uavrl_onboard.perception.motion.tracks import AROUND, LINK, LabelledReturns, Track, follow, nearby
 from uavrl_onboard.vehicle import VEHICLE
 
 OBJECT = ("forward", "left", "up", "forward velocity", "left velocity", "up velocity", "size")
@@ -189,7 +189,7 @@ class MotionSight:
     def _before(self, sensor: int, place: np.ndarray) -> LabelledReturns:
         """What was ``AROUND`` a place in the last scan, and what of it is now seen through."""
         points = self._last[sensor]
-        points = points[squared_distances(points, place) < AROUND**2]
+        points = points[nearby(points, place, AROUND)]
         clouds = np.full(len(points), sensor)
         left = self._scans.beyond(points.T, clouds, np.ones_like(self._ages)) > MARGIN
         return LabelledReturns(points, left, left)
@@ -235,9 +235,8 @@ class MotionSight:
             own[track.body] = True
         for track in tracks:
             reach = track.size / 2 + BESIDE
-            near = squared_distances(cloud, rotation.T @ (track.position - self._positions[sensor])) < reach**2
-            at = np.flatnonzero(near)  # of NaN and infinity it is false
-            around = np.flatnonzero(squared_distances(looked_at, track.position) < (reach + LINK) ** 2)
+            at = nearby(cloud, rotation.T @ (track.position - self._positions[sensor]), reach)
+            around = nearby(looked_at, track.position, reach + LINK)
             world = cloud[at] @ rotation.T + self._positions[sensor]
             moving[at] |= own[around[cKDTree(looked_at[around]).query(world)[1]]]
         return moving

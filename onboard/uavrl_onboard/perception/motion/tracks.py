@@ -104,6 +104,19 @@ def squared_distances(points: np.ndarray, place: np.ndarray) -> np.ndarray:
     return x * x + y * y + z * z
 
 
+def nearby(points: np.ndarray, place: np.ndarray, reach: float) -> np.ndarray:
+    """The numbers of those ``points [M, 3]`` in m that are nearer than ``reach`` to a place ``[3]``; not of NaN.
+
+    Most points of a scan are left out by one coordinate.
+
+    Examples:
+        >>> nearby(np.array([[0.0, 0, 0], [0.5, 3, 0], [np.nan] * 3, [0.5, 0.5, 0]]), np.zeros(3), 1.0).tolist()
+        [0, 3]
+    """
+    strip = np.flatnonzero(np.abs(points[:, 0] - place[0]) < reach)
+    return strip[squared_distances(points[strip], place) < reach**2]
+
+
 def hanging_together(points: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Which of ``points [M, 3]`` are reached from ``seeds``, ``bool [M]``, over gaps of at most ``LINK``.
 

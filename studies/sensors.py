@@ -1,0 +1,86 @@
+"""How does a policy that was trained with a VLP-16 fly with other sensors, without any training for them?
+
+Run `python studies/sensors.py --episodes 200 --output sensors.json`. The tasks are those of the suite's row `held_out`,
+for every sensor with and without guards. Rows that the output already holds are kept, so that a study that was stopped
+goes on where it was. Cells that a sensor never sees are counted; the policy takes them for free.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from uavrl import load_policy
+from uavrl.config import validate
+from uavrl.envs.sensors import SENSORS
+from uavrl.evaluation.field_of_view import trained_sensor, unseen_cells
+from uavrl.evaluation.rollout import rollout_episodes
+from uavrl.evaluation.summary import summarize
+from uavrl_onboard.files import replacing
+
+VALLEYS = range(100, 110)  # of held_out
+SEED = 20_000
+
+
+def row(policy: str, sensor: str, guards: str, episodes: int, vehicles: int) -> dict[str, Any]:
+    """One sensor, with or without guards."""
+    loaded, begun = load_policy(policy), time.monotonic()
+    options = {"guards": guards, "valleys": list(VALLEYS), "seed": SEED, "num_uavs": min(vehicles, episodes)}
+    env = loaded.make_env("env=static", "randomize=none", f"env.lidar={sensor}", allow_unseen=True, **options)
+    try:
+        found = summarize(rollout_episodes(env, loaded, episodes, progress=False))
+    finally:
+        env.close()
+    perception = validate(loaded.config).perception
+    seen_before = set(unseen_cells(perception, trained_sensor(loaded.config))[0])
+    unseen = len(set(unseen_cells(perception, sensor)[0]) - seen_before)
+    kept = ("success", "outcomes", "steps_per_arrival")
+    told = {"policy": policy, "sensor": sensor, "guards": guards, "episodes": episodes, "seed": SEED}
+    return told | {key: found[key] for key in kept} | {"unseen_cells": unseen, "seconds": time.monotonic() - begun}
+
+
+def line(found: dict[str, Any]) -> str:
+    """One row of the table."""
+    rate, low, high = (100 * found["success"][key] for key in ("rate", "low", "high"))
+    steps, collided = found["steps_per_arrival"], 100 * found["outcomes"].count("C") / len(found["outcomes"])
+    took = "–" if steps is None else f"{steps:.0f}"
+    return (
+        f"| `{found['sensor']}` | {found['guards']} | {found['unseen_cells']} | {rate:.1f} ({low:.1f}–{high:.1f}) | "
+        f"{collided:.1f} | {took} | {found['episodes']} |"
+    )
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Flies all rows and prints them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--policy", default="best")
+    parser.add_argument("--episodes", type=int, default=200)
+    parser.add_argument("--vehicles", type=int, default=8)
+    parser.add_argument("--sensors", nargs="+", default=list(SENSORS))
+    parser.add_argument("--guards", nargs="+", default=["none", "all"])
+    parser.add_argument("--output", type=Path, default=Path("sensors.json"))
+    args = parser.parse_args(words)
+    torch.set_num_threads(1)
+    rows = json.loads(args.output.read_text(encoding="utf-8")) if args.output.is_file() else []
+    print("| sensor | guards | cells never seen | success, % (95 % CI) | collisions, % | steps per success | tasks |")
+    print("|---|---|---|---|---|---|---|")
+    for guards in args.guards:
+        for sensor in args.sensors:
+            told = {"policy": args.policy, "sensor": sensor, "guards": guards, "episodes": args.episodes}
+            found = next((each for each in rows if told.items() <= each.items()), None)
+            if found is None:
+                found = row(args.policy, sensor, guards, args.episodes, args.vehicles)
+                rows.append(found)
+                with replacing(args.output) as partial:
+                    partial.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+            print(line(found), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+"""What only a simulator knows, and that only critics read it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from uavrl.envs import NavigationEnv
+from uavrl.envs.privileged import QUANTITIES, level, nearest_planes
+from uavrl.envs.traffic import Traffic
+from uavrl.envs.world import World, WorldConfig
+from uavrl.errors import UavrlError
+
+WORLD = WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=4, planes=2, plane_keep_out=1)
+
+
+def test_it_is_emitted_where_it_is_asked_for_alone() -> None:
+    asked = NavigationEnv(1, world=WORLD, privileged=["wind", "planes", "clearance"], aerodynamics={"wind": (3, 0, 0)})
+    plain = NavigationEnv(1, world=WORLD, aerodynamics={"wind": (3, 0, 0)})
+    one, other = asked.rollout(3)["next"], plain.rollout(3)["next"]
+    assert set(one.keys()) - set(other.keys()) == set(QUANTITIES)
+    for key, quantity in QUANTITIES.items():
+        assert one[key].shape[-1] == len(quantity.signs)
+    torch.testing.assert_close(one["wind"].norm(dim=-1), torch.full((1, 3), 3.0))
+    yaw = one["attitude"][0, -1, 2].item()
+    np.testing.assert_allclose(one["wind"][0, -1], level(np.array([3.0, 0, 0]), np.array(yaw)), atol=1e-5)
+    asked.close(), plain.close()
+
+
+def test_the_velocities_of_planes_are_those_of_their_next_positions() -> None:
+    traffic = Traffic(World(WORLD), np.random.default_rng(0))
+    for _ in range(20):
+        before, velocities = traffic.positions, traffic.velocities()
+        traffic.advance(24, 1 / 240)
+        moved = (traffic.positions - before) / 0.1
+        usual = np.linalg.norm(moved, axis=1) < 10  # not one that came in elsewhere
+        straight = usual & (np.abs(moved - velocities).max(1) < 0.5)
+        assert straight.sum() >= usual.sum() - 1, "one may turn at a corner"
+
+
+def test_far_planes_are_absent_and_near_ones_come_first() -> None:
+    planes = np.array([[0.0, 0.0, 30.0], [0.0, 4.0, 0.0], [2.0, 0.0, 0.0]])
+    told = nearest_planes(np.zeros((1, 3)), np.array([np.pi / 2]), planes, np.ones((3, 3))).reshape(3, 6)
+    np.testing.assert_allclose(told[0, :3], [0.0, -0.9, 0.0], atol=1e-9)
+    np.testing.assert_allclose(told[1, :3], [0.8, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(told[0, 3:], [0.25, -0.25, 0.25], atol=1e-9)
+    assert not told[2].any()
+
+
+def test_another_quantity_is_refused() -> None:
+    with pytest.raises(UavrlError, match="privileged takes any of clearance, planes, wind, got sun"):
+        NavigationEnv(1, privileged=["sun"])

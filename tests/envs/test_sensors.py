@@ -1,0 +1,191 @@
+"""The simulated LiDARs: their rays, what they see, and files of one's own."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.lib.format import write_array
+from scipy.spatial import cKDTree
+
+from tests.helpers.scenes import box, clutter, poses
+from uavrl.envs import Lidar, LidarConfig, LidarSensor, NavigationEnv
+from uavrl.envs.sensors import SENSORS, lidar_sensor
+from uavrl.errors import UavrlError
+from uavrl_onboard.perception.motion.rays import far_ray_indices
+
+# rays; right, left, lowest and highest direction in degrees; from the data sheets
+FIELDS = {
+    "vlp16": (28_928, (-180.0, 180.0, -15.0, 15.0)),
+    "os0_32": (32_768, (-180.0, 180.0, -45.0, 45.0)),
+    "os0_128": (131_072, (-180.0, 180.0, -45.0, 45.0)),
+    "os1_64": (65_536, (-180.0, 180.0, -22.5, 22.5)),
+    "xt32": (64_000, (-180.0, 180.0, -16.0, 15.0)),
+    "mid360": (20_000, (-180.0, 180.0, -7.0, 52.0)),
+    "rplidar": (3_200, (-180.0, 180.0, 0.0, 0.0)),
+    "d435": (6_360, (-43.5, 43.5, -29.0, 29.0)),
+}
+
+
+def test_every_sensor_has_the_field_of_view_of_its_data_sheet() -> None:
+    assert set(SENSORS) == set(FIELDS)
+    for name, (rays, view) in FIELDS.items():
+        sensor = lidar_sensor(name)
+        assert (sensor.num_rays, sensor.field_of_view) == (rays, view), name
+        np.testing.assert_allclose(np.linalg.norm(sensor.rays.directions, axis=-1), 1, atol=1e-6)
+        assert sensor.rays.times.shape == (rays,)
+        assert 0 <= sensor.rays.times.min() <= sensor.rays.times.max() < 1 / sensor.rate
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_culling_changes_no_point_of_any_sensor(name: str) -> None:
+    config = LidarConfig(max_range=4.0, sensor=name, range_noise=0.0)
+    culled, whole = (Lidar(clutter(1), None, config) for _ in range(2))
+    whole._culler = None
+    positions, rotations = poses(2, 3)
+    found = culled.scan(positions, rotations, numbers=[0, 1, 39])
+    np.testing.assert_array_equal(found, whole.scan(positions, rotations, numbers=[0, 1, 39]))
+    assert not np.isnan(found[..., 0]).all()
+
+
+def test_a_scan_of_the_mid360_looks_between_the_rays_of_the_scan_before() -> None:
+    rays = lidar_sensor("mid360").rays.directions.astype(float)
+
+    nearest = np.degrees(cKDTree(rays[0]).query(rays[1])[0])
+    assert np.median(nearest) > 0.15  # degrees; of a repeating pattern 0
+    below = np.degrees(np.arcsin(rays[:10, :, 2])) < 0
+    assert 0.05 < below.mean() < 0.2  # 7 of 59 degrees, in which it sweeps evenly
+    columns = np.degrees(np.arctan2(rays[0, :, 1], rays[0, :, 0])) // 15
+    assert np.unique(columns).size == 24  # each scan looks all around
+    wall = [box((3.0, 0.0, 0.0), (0.2, 8.0, 8.0))]
+    first, second, again = Lidar(wall, None, LidarConfig(sensor="mid360", range_noise=0.0)).scan(
+        np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)), numbers=[0, 1, 40]
+    )
+    np.testing.assert_array_equal(first, again)  # 40 scans, then from the beginning
+    assert not np.array_equal(first, second, equal_nan=True)
+    hits = second[~np.isnan(second[:, 0])]
+    np.testing.assert_allclose(hits[np.abs(hits[:, 0] - 2.9) < 0.5][:, 0], 2.9, atol=1e-4)
+
+
+def test_an_environment_shows_another_scan_of_a_changing_pattern_each_step() -> None:
+    env = NavigationEnv(2, lidar={"sensor": "mid360", "max_range": 6.0, "range_noise": 0.0}, seed=1)
+    state = env.reset()
+    assert state["point_cloud"].shape == env.observation_spec["point_cloud"].shape == (2, 20_000, 3)
+    pattern = lidar_sensor("mid360").rays.directions
+    for step in range(3):
+        for vehicle, task in enumerate(state["task"][:, 0].tolist()):
+            points = state["point_cloud"][vehicle].numpy()
+            hit = np.flatnonzero(~np.isnan(points[:, 0]))
+            towards = points[hit] / np.linalg.norm(points[hit], axis=-1, keepdims=True)
+            np.testing.assert_allclose(towards, pattern[task + step][hit], atol=1e-4)
+        state["action"] = env.action_spec.zero()
+        state = env.step(state)["next"]
+    env.close()
+
+
+def test_a_sensor_sees_as_far_as_it_does_and_nothing_nearer_than_its_blind_distance() -> None:
+    walls = [box((9.5, 0.0, 0.0), (0.1, 1.0, 1.0)), box((0.0, 0.2, 0.0), (2.0, 0.02, 0.2))]
+    level = (np.zeros((1, 3)), np.eye(3)[None])
+    sensor = LidarSensor("mine", (0.0,), 360, max_range=8.0, blind_distance=0.5)
+    seen = Lidar(walls, None, LidarConfig(sensor=sensor)).scan(*level)[0]
+    distances = np.linalg.norm(seen[~np.isnan(seen[:, 0])], axis=-1)
+    assert len(distances) and distances.min() >= 0.5 and distances.max() < 8.0
+    near = Lidar(walls, None, LidarConfig(sensor=sensor, min_range=0.0)).scan(*level)[0]
+    assert np.nanmin(np.linalg.norm(near, axis=-1)) == pytest.approx(0.19, abs=1e-4)
+    with pytest.raises(UavrlError, match=r"'mine' sees nothing nearer than 0.5 m, and max_range is 0.4 m"):
+        LidarConfig(sensor=sensor, max_range=0.4)
+
+
+def test_range_noise_is_the_sensors_own_unless_it_is_given() -> None:
+    wall = [box((3.0, 0.0, 0.0), (0.02, 40.0, 40.0))]
+    level = (np.zeros((1, 3)), np.eye(3)[None])
+    for config, spread in ((LidarConfig(sensor="mid360"), 0.02), (LidarConfig(sensor="mid360", range_noise=0.1), 0.1)):
+        seen = Lidar(wall, None, config).scan(*level, rng=np.random.default_rng(0))[0]
+        true = Lidar(wall, None, LidarConfig(sensor="mid360", range_noise=0.0)).scan(*level)[0]
+        errors = np.linalg.norm(seen, axis=-1) - np.linalg.norm(true, axis=-1)
+        assert np.nanstd(errors.astype(float)) == pytest.approx(spread, rel=0.05)
+    assert LidarConfig().noise == LidarConfig().nearest == 0.0  # the thesis's sensor is ideal
+
+
+def test_only_the_rays_that_look_for_motion_reach_farther() -> None:
+    for name in ("os1_64", "mid360", "d435"):
+        config = LidarConfig(max_range=4.0, far_range=8.0, sensor=name, range_noise=0.0)
+        lidar = Lidar([box((6.0, 0.0, 0.0), (0.1, 30.0, 30.0))], None, config)
+        seen = lidar.scan(np.zeros((1, 3)), np.eye(3)[None])[0]
+        far = np.flatnonzero(~np.isnan(seen[:, 0]))
+        assert set(far) <= set(far_ray_indices(lidar.directions)) and len(far) > 50
+        everything = Lidar(lidar._meshes, None, LidarConfig(max_range=8.0, sensor=name, range_noise=0.0))
+        whole = everything.scan(np.zeros((1, 3)), np.eye(3)[None])[0]
+        np.testing.assert_array_equal(seen[far], whole[far])
+
+
+def test_the_pixels_of_a_camera_are_exposed_at_once() -> None:
+    wall = [box((3.0, 0.0, 0.0), (0.2, 20.0, 20.0))]
+    config = LidarConfig(sensor="d435", motion_distortion=True, range_noise=0.0)
+    told = {"velocities": np.array([[2.0, 0, 0]]), "angular_velocities": np.array([[0, 0, 2.0]])}
+    seen = Lidar(wall, None, config).scan(np.zeros((1, 3)), np.eye(3)[None], **told)[0]
+    np.testing.assert_allclose(seen[:, 0], 2.9, atol=1e-5)
+
+
+def test_own_sensors_come_from_yaml_and_files_of_directions(tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text(
+        "elevations: [-10, 0, 10]\nazimuth_steps: 90\nazimuth: [-45, 45]\nmax_range: 20\n"
+    )
+    mine = lidar_sensor(str(tmp_path / "mine.yaml"))
+    assert (mine.name, mine.num_rays, mine.max_range) == ("mine", 270, 20)
+    assert mine.field_of_view == (-45.0, 45.0, -10.0, 10.0)
+    np.savetxt(tmp_path / "rays.csv", [[0.0, 10.0], [90.0, -10.0]], delimiter=",")
+    (tmp_path / "two.yaml").write_text("directions: rays.csv\n")
+    two = lidar_sensor(str(tmp_path / "two.yaml"))
+    np.testing.assert_allclose(two.rays.directions[0], [[0.9848, 0, 0.1736], [0, 0.9848, -0.1736]], atol=1e-4)
+    pattern = np.array([[[2.0, 0, 0], [0, 3.0, 0]], [[0, 0, -1.0], [1.0, 0, 0]]])
+    np.save(tmp_path / "scans.npy", pattern)
+    three = lidar_sensor({"directions": str(tmp_path / "scans.npy"), "rate": 20})
+    assert three.rays.directions.tolist() == [[[1, 0, 0], [0, 1, 0]], [[0, 0, -1], [1, 0, 0]]]
+    seen = Lidar([], None, LidarConfig(sensor=three)).scan(np.zeros((1, 3)), np.eye(3)[None], numbers=[1])
+    assert seen.shape == (1, 2, 3)
+
+
+def _npy(path: Path, values: object) -> str:
+    with path.open("wb") as file:
+        write_array(file, np.asarray(values), allow_pickle=True)
+    return str(path)
+
+
+def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    grid = {"elevations": [0.0], "azimuth_steps": 10}
+    (tmp_path / "list.yaml").write_text("- 1\n")
+    (tmp_path / "code.yaml").write_text("!!python/object/apply:os.getcwd []\n")
+    (tmp_path / "text.csv").write_text("x,y,z\n1,2,3\n")
+    refused: list[tuple[Any, str]] = [
+        ("vlp61", r"must be one of vlp16, os0_32, .*, got 'vlp61': did you mean 'vlp16'"),
+        (str(tmp_path / "none.yaml"), r"none.yaml cannot be read \(No such file or directory\)"),
+        (str(tmp_path / "list.yaml"), r"list.yaml must hold settings"),
+        (str(tmp_path / "code.yaml"), r"code.yaml cannot be read"),
+        (("colour", 3), r"has no setting 'colour': it takes name, elevations"),
+        (("elevations", "high"), r"elevations must be a list of degrees, got 'high'"),
+        (("elevations", [91.0]), r"elevations must be a list of angles in \[-90, 90\] degrees; got \[91.0\]"),
+        (("azimuth_steps", 0), r"azimuth_steps must be a whole number, 1 or more; got 0"),
+        (("azimuth_steps", 10**7), r"would cast 10,000,000 rays, and at most 300,000 are possible"),
+        (("rate", 5.0), r"rate must be at least 10 Hz, at which policies act, and at most 1000; got 5.0"),
+        (("azimuth", [45, -45]), r"azimuth must be two angles in degrees, the right one first"),
+        (("blind_distance", 200.0), r"blind_distance must be 0 or more, and below max_range; got 200.0"),
+        (("directions", "rays.csv"), r"needs one kind of rays"),
+    ]
+    for given, told in refused:
+        with pytest.raises(UavrlError, match=told):
+            lidar_sensor(given if isinstance(given, str) else {**grid, given[0]: given[1]})
+    for path, told in {
+        str(tmp_path / "none.npy"): r"cannot be read \(No such file or directory\)",
+        str(tmp_path / "rays.bin"): r"cannot be read|must be a .csv or an .npy file",
+        str(tmp_path / "text.csv"): r"cannot be read \(could not convert",
+        _npy(
+            tmp_path / "pickled.npy", np.array([{}], dtype=object)
+        ): r"cannot be read \(Object arrays cannot be loaded",
+        _npy(tmp_path / "flat.npy", np.zeros(3)): r"have the shape \[3\] and type float64: rows must be",
+        _npy(tmp_path / "nan.npy", np.full((2, 3), np.nan)): r"hold NaN or infinite values",
+        _npy(tmp_path / "zero.npy", np.zeros((2, 3))): r"hold a ray of length 0",
+        _npy(tmp_path / "many.npy", np.ones((300_001, 3))): r"are 1 scans of 300,001 rays",
+    }.items():
+        with pytest.raises(UavrlError, match=told):
+            lidar_sensor({"directions": path})

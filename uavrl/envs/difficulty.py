@@ -1,0 +1,83 @@
+"""How hard a task is: how wide its shortest way is, and how much longer than a straight line."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse.csgraph import dijkstra
+
+from uavrl.envs.place import Place, measured_surface
+from uavrl.envs.tasks import CELL, Surface, Task
+from uavrl.envs.traps import ways_at
+from uavrl.envs.world import World
+
+BAND = 1.0  # m above and below the flight level within which surfaces count as beside the way
+WIDEST = 5.0  # m, largest distance to a surface that is told apart
+
+
+class Difficulty(NamedTuple):
+    """Of one task.
+
+    Attributes:
+        spacing: Mean width of the free space along the shortest way, twice the distance to the nearest surface beside
+            it, in m, at most 10.
+        detour: Length of the shortest way over that of the way without any obstacle; 1 or more.
+    """
+
+    spacing: float
+    detour: float
+
+
+class DifficultyMeter:
+    """Measures tasks of one place, at its flight level.
+
+    Source: Yu et al. (2024), "FlightBench" (arXiv 2406.05687), measures the difficulty of tasks by free spheres along
+    a guiding path, among others. Here the path is the shortest of a ball of ``uav_radius`` on the place's map, in eight
+    directions, and the radii of the spheres are averaged; our numbers and theirs cannot be compared.
+
+    Args:
+        place: Where the tasks are.
+    """
+
+    def __init__(self, place: Place) -> None:
+        config, flight = place.config, place.flight
+        self._space, level = flight.space, config.flight_level
+        self._graph, _ = ways_at(flight, level, config.uav_radius)
+        self._shape = flight.corridor.shape[:2]
+        self._surface = Surface(measured_surface(place.scene), level - BAND, level + BAND)
+        self._z, self._origin = level, place.origin
+
+    def measure(self, start: np.ndarray, goal: np.ndarray) -> Difficulty | None:
+        """Measures one task.
+
+        Args:
+            start: ``[2]`` or more, in m, world frame.
+            goal: As ``start``.
+
+        Returns:
+            None where no way at the flight level joins them.
+        """
+        cells = [self._cell(start), self._cell(goal)]
+        (dx, dy) = np.abs(cells[0] - cells[1]) * CELL
+        straight = max(dx, dy) + (2**0.5 - 1) * min(dx, dy)
+        first, last = (int(np.ravel_multi_index(tuple(cell), self._shape)) for cell in cells)
+        length, before = dijkstra(self._graph, indices=first, return_predecessors=True)
+        if not np.isfinite(length[last]) or straight == 0:
+            return None
+        way = [last]
+        while way[-1] != first:
+            way.append(int(before[way[-1]]))
+        x, y = np.unravel_index(way, self._shape)
+        points = np.column_stack([self._space.x[x], self._space.y[y], np.full(len(way), self._z)])
+        room = self._surface.clearance(points, WIDEST)
+        return Difficulty(2 * float(room.mean()), max(1.0, float(length[last]) / straight))
+
+    def _cell(self, place: np.ndarray) -> np.ndarray:
+        cell = np.rint((place[:2] - self._origin - (self._space.x[0], self._space.y[0])) / CELL).astype(int)
+        return np.clip(cell, 0, np.array(self._shape) - 1)
+
+
+def measure_tasks(world: World, tasks: Sequence[Task]) -> list[Difficulty | None]:
+    """Measures tasks of a world."""
+    meters = {number: DifficultyMeter(world.places[number]) for number in sorted({task.place for task in tasks})}
+    return [meters[task.place].measure(task.start, task.goal) for task in tasks]

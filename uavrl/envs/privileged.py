@@ -1,0 +1,84 @@
+"""What only a simulator knows: quantities for critics, which no policy reads."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from uavrl.envs.simulation import Simulation
+from uavrl.envs.traffic import Traffic
+
+PLANES = 3  # the nearest ones
+SIGHT = 20.0  # m, beyond which a plane counts as absent
+FASTEST = 4.0  # m/s, by which the velocities of planes are divided
+STRONGEST = 5.0  # m/s, by which the wind is divided
+FARTHEST = 5.0  # m, up to which the simulation measures distances
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One of them.
+
+    Attributes:
+        signs: of its numbers in a mirror at the vehicle's side; there are as many.
+        divisor: brings it to about [-1, 1] for a network.
+    """
+
+    signs: tuple[float, ...]
+    divisor: float = 1.0
+
+
+QUANTITIES: Mapping[str, Quantity] = {
+    "clearance": Quantity((1.0,), FARTHEST),
+    "planes": Quantity((1.0, -1.0, 1.0) * 2 * PLANES),
+    "wind": Quantity((1.0, -1.0, 1.0), STRONGEST),
+}
+"""``clearance``: m from the hull to the nearest thing, at most 5. ``planes``: of each of the three nearest within 20 m,
+its direction times ``1 - distance / 20``, and its velocity over 4 m/s; zeros for an absent one. ``wind``: m/s, without
+gusts. The axes are forward, left and up of the vehicle, turned by its yaw alone."""
+
+
+def privileged(names: Collection[str], simulation: Simulation, traffic: Traffic) -> dict[str, np.ndarray]:
+    """Return those of the quantities of all vehicles ``[N, ...]`` that are asked for."""
+    found: dict[str, np.ndarray] = {}
+    if "clearance" in names:
+        found["clearance"] = simulation.closest_distance()
+    if "wind" in names:
+        found["wind"] = level(simulation.params.wind, simulation.yaw)
+    if "planes" in names:
+        found["planes"] = nearest_planes(simulation.position, simulation.yaw, traffic.positions, traffic.velocities())
+    return found
+
+
+def level(vectors: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Return vectors ``[N, 3]`` in world axes as vehicles with these yaws ``[N]`` have them: forward, left, up.
+
+    Examples:
+        >>> level(np.array([[0.0, 2.0, 1.0]]), np.array([np.pi / 2])).round(6).tolist()
+        [[2.0, 0.0, 1.0]]
+    """
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
+
+
+def nearest_planes(position: np.ndarray, yaw: np.ndarray, planes: np.ndarray, velocities: np.ndarray) -> np.ndarray:
+    """Return what vehicles ``[N, 3]`` have of the planes ``[K, 3]`` nearest to them: ``[N, 18]``.
+
+    Examples:
+        >>> told = nearest_planes(np.zeros((1, 3)), np.zeros(1), np.array([[0.0, 10.0, 0.0]]), np.array([[2.0, 0, 0]]))
+        >>> told[0, :7].tolist()
+        [0.0, 0.5, 0.0, 0.5, 0.0, 0.0, 0.0]
+    """
+    told = np.zeros((len(position), PLANES, 6))
+    offsets = planes[None] - position[:, None]
+    far = np.linalg.norm(offsets, axis=-1)
+    for rank, plane in enumerate(np.argsort(far, axis=1)[:, :PLANES].T):
+        rows = np.arange(len(position))
+        distance = far[rows, plane][:, None]
+        direction = level(offsets[rows, plane], yaw) / np.maximum(distance, 1e-9)
+        there = np.concatenate([direction * (1 - distance / SIGHT), level(velocities[plane], yaw) / FASTEST], -1)
+        told[:, rank] = np.where(distance < SIGHT, there, 0.0)
+    return told.reshape(len(position), -1)

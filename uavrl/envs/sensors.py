@@ -1,0 +1,344 @@
+"""The LiDARs and depth cameras that can be simulated: records of their rays, rates, ranges and flaws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import yaml
+
+from uavrl.envs.limits import require_finite
+from uavrl.errors import UavrlError, did_you_mean
+from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, FIRING_TIMES, firing_directions
+
+__all__ = ["SENSORS", "LidarSensor", "SensorRays", "lidar_sensor"]
+
+LEAST_RATE = 10.0  # Hz, at which policies act: a slower sensor would show them one scan twice
+MOST_RAYS = 300_000  # of a scan
+MOST_SCANS = 200  # of a pattern
+_LARGEST_FILE = 2**28  # bytes
+
+
+class SensorRays(NamedTuple):
+    """The rays of S scans, after which a sensor repeats itself; S is 1 for most."""
+
+    directions: np.ndarray  #: ``float32 [S, R, 3]``, unit vectors in firing order: x forward, y left, z up
+    times: np.ndarray  #: ``float64 [R]``, s after the first ray
+    azimuths: np.ndarray  #: ``float64 [S, C]``, rad clockwise from straight ahead, of C groups of R / C rays in turn
+
+
+@dataclass(frozen=True)
+class LidarSensor:
+    """A LiDAR or a depth camera.
+
+    Its rays are a grid of ``azimuth_steps`` by ``elevations``, or the rows of a file of ``directions``. A grid fires
+    clockwise seen from above, all elevations of a step at once; a full turn starts straight ahead.
+
+    Args:
+        name: What messages and contracts call it.
+        elevations: Elevation of each beam in degrees, in the order in which a step fires them.
+        azimuth_steps: Number of steps in a scan.
+        azimuth: Right and left border of the horizontal field of view in degrees; the left is positive.
+        directions: A CSV or NPY file. Its rows are x, y, z (of any length), or azimuth and elevation in degrees, in
+            firing order. An NPY file of shape ``[S, R, 3]`` holds S scans that follow each other.
+        rate: Scans per second.
+        max_range: Farthest range in m.
+        blind_distance: Shortest range in m.
+        range_noise: Standard deviation of the range error in m.
+        pattern: How the rays are made; own sensors have a grid.
+
+    Raises:
+        UavrlError: for values out of range, for neither or both kinds of rays, and for files that hold no directions.
+
+    Examples:
+        >>> LidarSensor("mine", elevations=(-10.0, 0.0, 10.0), azimuth_steps=360).num_rays
+        1080
+    """
+
+    name: str = "own"
+    elevations: tuple[float, ...] | None = None
+    azimuth_steps: int | None = None
+    azimuth: tuple[float, float] = (-180.0, 180.0)
+    directions: str | None = None
+    rate: float = 10.0
+    max_range: float = 100.0
+    blind_distance: float = 0.0
+    range_noise: float = 0.0
+    pattern: Literal["grid", "vlp16", "rosette", "camera"] = "grid"
+
+    def __post_init__(self) -> None:
+        """Refuse a sensor that nothing can be seen with."""
+        require_finite(self, ("rate", "max_range", "blind_distance", "range_noise", "azimuth"))
+        right, left = self.azimuth if len(self.azimuth) == 2 else (0.0, 0.0)
+        rules = {
+            f"rate must be at least {LEAST_RATE:g} Hz, at which policies act, and at most 1000": (
+                LEAST_RATE <= self.rate <= 1000
+            ),
+            "max_range must be above 0 and at most 1000 m": 0 < self.max_range <= 1000,
+            "blind_distance must be 0 or more, and below max_range": 0 <= self.blind_distance < self.max_range,
+            "range_noise must be in [0, 100] m": 0 <= self.range_noise <= 100,
+            "azimuth must be two angles in degrees, the right one first, for example [-45, 45]": (
+                -180 <= right < left <= 180
+            ),
+        }
+        for rule, holds in rules.items():
+            if not holds:
+                value = getattr(self, rule.split()[0])
+                raise UavrlError(f"The LiDAR {self.name!r}: {rule}; got {value}.")
+        if self.pattern == "grid":
+            self._require_rays()
+
+    def _require_rays(self) -> None:
+        own = "give elevations and azimuth_steps, or a file of directions"
+        if (self.directions is None) == (self.elevations is None):
+            raise UavrlError(f"The LiDAR {self.name!r} needs one kind of rays: {own}.")
+        if self.elevations is None:
+            rays_of(self)  # which reads the file
+            return
+        require_finite(self, ("elevations",))
+        steps = self.azimuth_steps
+        if not self.elevations or max(map(abs, self.elevations)) > 90:
+            raise UavrlError(
+                f"The LiDAR {self.name!r}: elevations must be a list of angles in [-90, 90] degrees; "
+                f"got {list(self.elevations)}."
+            )
+        if not isinstance(steps, int) or isinstance(steps, bool) or steps < 1:
+            raise UavrlError(
+                f"The LiDAR {self.name!r}: azimuth_steps must be a whole number, 1 or more; got {steps!r}."
+            )
+        if steps * len(self.elevations) > MOST_RAYS:
+            raise UavrlError(
+                f"The LiDAR {self.name!r} would cast {steps * len(self.elevations):,} rays, and at most {MOST_RAYS:,} "
+                "are possible: lower azimuth_steps."
+            )
+
+    @property
+    def num_rays(self) -> int:
+        """Rays in one scan."""
+        return int(self.rays.directions.shape[1])
+
+    @property
+    def rays(self) -> SensorRays:
+        """All rays; computed once for all equal sensors, and read-only."""
+        return rays_of(self)
+
+    @property
+    def field_of_view(self) -> tuple[float, float, float, float]:
+        """Right, left, lowest and highest direction of any ray in degrees, rounded to a tenth.
+
+        Examples:
+            >>> SENSORS["d435"].field_of_view
+            (-43.5, 43.5, -29.0, 29.0)
+        """
+        x, y, z = self.rays.directions.reshape(-1, 3).astype(float).T
+        azimuth, elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+        around = np.sort(azimuth)
+        gap = np.diff(around, append=around[0] + 360).max()
+        sides = (-180.0, 180.0) if gap < 10.0 else (float(around[0]), float(around[-1]))
+        rounded = [round(angle, 1) + 0.0 for angle in (*sides, float(elevation.min()), float(elevation.max()))]
+        return rounded[0], rounded[1], rounded[2], rounded[3]
+
+
+def _spread(low: float, high: float, count: int) -> tuple[float, ...]:
+    """Beams at equal distances, the highest first, as Ouster and Hesai number theirs."""
+    return tuple(np.linspace(high, low, count).round(4).tolist())
+
+
+# The beams of one firing step share its azimuth here; in Ouster's sensors they lie up to 3 degrees apart.
+SENSORS: Mapping[str, LidarSensor] = {
+    each.name: each
+    for each in (
+        # Velodyne VLP-16 user manual 63-9243. The thesis's sensor is ideal; the data sheet has a minimum range of 0.9 m
+        # (recordings hold points from 0.5 m) and an accuracy of 3 cm, which perception.lidar can switch on.
+        LidarSensor("vlp16", pattern="vlp16", max_range=100.0),
+        # Ouster OS0 data sheet, Rev 06: 90 degrees, 0.3 to 50 m, precision 1.5 to 5 cm; mode 1024 x 10.
+        LidarSensor("os0_32", _spread(-45, 45, 32), 1024, max_range=50.0, blind_distance=0.3, range_noise=0.015),
+        LidarSensor("os0_128", _spread(-45, 45, 128), 1024, max_range=50.0, blind_distance=0.3, range_noise=0.015),
+        # Ouster OS1 data sheet, Rev 06: 45 degrees, 0.3 to 120 m, precision 0.7 to 5 cm; mode 1024 x 10.
+        LidarSensor("os1_64", _spread(-22.5, 22.5, 64), 1024, max_range=120.0, blind_distance=0.3, range_noise=0.007),
+        # Hesai XT32 user manual: 32 channels of 1 degree, 0.18 degrees at 10 Hz, 0.05 to 120 m, precision 0.5 cm.
+        LidarSensor("xt32", _spread(-16, 15, 32), 2000, max_range=120.0, blind_distance=0.05, range_noise=0.005),
+        # Livox Mid-360 user manual v1.2: 360 x 59 degrees, 200,000 points/s, 40 m at 10 % reflectivity, blind up to
+        # 0.1 m, range error 2 cm. The trajectory is ours: Livox does not publish the device's.
+        LidarSensor("mid360", pattern="rosette", max_range=40.0, blind_distance=0.1, range_noise=0.02),
+        # Slamtec RPLIDAR S2 data sheet: one plane, 32,000 samples/s at 10 Hz, 0.05 to 30 m, accuracy 3 cm.
+        LidarSensor("rplidar", (0.0,), 3200, max_range=30.0, blind_distance=0.05, range_noise=0.03),
+        # Intel RealSense D400 data sheet: D435, 87 x 58 degrees of depth, 848 x 480 pixels (here each eighth of a row
+        # and of a column), up to 10 m (3 m are the ideal range), from 0.2 m on at this resolution, 2 % at 2 m.
+        LidarSensor("d435", pattern="camera", rate=30.0, max_range=10.0, blind_distance=0.2, range_noise=0.02),
+    )
+}
+"""The sensors that ``env.lidar=NAME`` chooses."""
+
+_MID360_RAYS, _MID360_SCANS = 20_000, 40
+_MID360_TURNS, _MID360_SWEEPS = 9.71, 2037.3  # per s: no whole numbers, so that no scan repeats the one before
+_MID360_ELEVATION = (-7.0, 52.0)
+_D435_PIXELS, _D435_HALF = (106, 60), (43.5, 29.0)  # columns and rows; degrees to the side and up
+
+
+def lidar_sensor(given: Any) -> LidarSensor:
+    """Return the sensor that a value of ``env.lidar`` means: a name, a YAML file, its settings, or the sensor itself.
+
+    Raises:
+        UavrlError: for an unknown name or setting, a file that cannot be read, and values out of range.
+
+    Examples:
+        >>> lidar_sensor("os0_128").num_rays
+        131072
+        >>> lidar_sensor({"elevations": [-5, 0, 5], "azimuth_steps": 180}).field_of_view
+        (-180.0, 180.0, -5.0, 5.0)
+    """
+    given = sensor_settings(given)
+    if isinstance(given, LidarSensor):
+        return given
+    if isinstance(given, Mapping):
+        return _of_settings(given)
+    if isinstance(given, str) and given in SENSORS:
+        return SENSORS[given]
+    near = did_you_mean(str(given), SENSORS, ": ", "for your own give a YAML file, FILE.yaml.")
+    raise UavrlError(f"A LiDAR must be one of {', '.join(SENSORS)}, got {given!r}{near}")
+
+
+def sensor_settings(given: Any) -> Any:
+    """Return the settings in a YAML file, so that they do not depend on the file any more; anything else as it is."""
+    if not isinstance(given, str) or Path(given).suffix not in (".yaml", ".yml"):
+        return given
+    path = Path(given).expanduser()
+    try:
+        with path.open(encoding="utf-8") as file:
+            settings = yaml.safe_load(file.read(2**20))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise UavrlError(f"The LiDAR's file {given} cannot be read ({reason}): check it.") from error
+    if not isinstance(settings, Mapping):
+        raise UavrlError(f"The LiDAR's file {given} must hold settings such as 'azimuth_steps: 360', and does not.")
+    settings = {"name": path.stem, **settings}
+    if isinstance(directions := settings.get("directions"), str):
+        settings["directions"] = str((path.parent / Path(directions).expanduser()).resolve())
+    return settings
+
+
+def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
+    known = [each.name for each in fields(LidarSensor) if each.name != "pattern"]
+    values: dict[str, Any] = {}
+    for key, value in settings.items():
+        if key not in known:
+            takes = f"it takes {', '.join(known)}."
+            raise UavrlError(f"A LiDAR has no setting {key!r}{did_you_mean(str(key), known, ': ', takes)}")
+        if value is None:
+            continue
+        if key in ("elevations", "azimuth") and not isinstance(value, list | tuple):
+            raise UavrlError(f"The LiDAR's {key} must be a list of degrees, got {value!r}.")
+        if key in ("name", "directions") and not isinstance(value, str):
+            raise UavrlError(f"The LiDAR's {key} must be a text, got {value!r}.")
+        values[key] = tuple(value) if isinstance(value, list | tuple) else value
+    return LidarSensor(**values)
+
+
+@lru_cache(maxsize=16)
+def rays_of(sensor: LidarSensor) -> SensorRays:
+    """Return the rays of a sensor."""
+    if sensor.pattern == "vlp16":
+        rays = SensorRays(firing_directions()[None], FIRING_TIMES, np.arange(AZIMUTH_STEPS)[None] * AZIMUTH_STEP)
+    elif sensor.pattern == "rosette":
+        rays = _mid360(1.0 / sensor.rate)
+    elif sensor.pattern == "camera":
+        rays = _d435()
+    elif sensor.directions is not None:
+        rays = _timed(_read(sensor.name, Path(sensor.directions)), 1.0 / sensor.rate)
+    else:
+        rays = _grid(sensor)
+    for array in rays:
+        array.setflags(write=False)
+    return rays
+
+
+def _grid(sensor: LidarSensor) -> SensorRays:
+    assert sensor.elevations is not None and sensor.azimuth_steps is not None
+    steps, (right, left) = sensor.azimuth_steps, np.radians(sensor.azimuth)
+    if sensor.azimuth == (-180.0, 180.0):
+        clockwise = np.arange(steps) * (math.tau / steps)
+    else:
+        clockwise = np.linspace(-left, -right, steps)
+    elevation = np.radians(np.tile(sensor.elevations, steps))
+    times = np.repeat(np.arange(steps) / (steps * sensor.rate), len(sensor.elevations))
+    towards = _towards(np.repeat(clockwise, len(sensor.elevations)), elevation)
+    return SensorRays(towards[None], times, clockwise[None])
+
+
+def _mid360(period: float) -> SensorRays:
+    """Sweep up and down while turning, as the Mid-360 covers its field of view in ever new lines."""
+    count = np.arange(_MID360_SCANS * _MID360_RAYS)
+    times = count * (period / _MID360_RAYS)
+    swept = 2.0 * np.abs((times * _MID360_SWEEPS) % 1.0 - 0.5)
+    low, high = np.radians(_MID360_ELEVATION)
+    clockwise = (math.tau * _MID360_TURNS * times) % math.tau
+    towards = _towards(clockwise, low + (high - low) * swept)
+    shape = _MID360_SCANS, _MID360_RAYS
+    return SensorRays(towards.reshape(*shape, 3), times[:_MID360_RAYS], clockwise.reshape(shape))
+
+
+def _d435() -> SensorRays:
+    """The pixels of a pinhole camera, row by row from the upper left, exposed at once."""
+    columns, rows = _D435_PIXELS
+    aside, up = np.tan(np.radians(_D435_HALF))
+    z, y = (
+        part.ravel()
+        for part in np.meshgrid(np.linspace(up, -up, rows), np.linspace(aside, -aside, columns), indexing="ij")
+    )
+    return _timed(np.stack([np.ones_like(y), y, z], -1)[None], 0.0)
+
+
+def _timed(directions: np.ndarray, period: float) -> SensorRays:
+    """Rays in any directions ``[S, R, 3]``, fired one after the other at equal intervals."""
+    unit = (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).astype(np.float32)
+    times = np.arange(unit.shape[1]) * (period / unit.shape[1])
+    return SensorRays(unit, times, np.arctan2(-unit[..., 1], unit[..., 0]).astype(np.float64) % math.tau)
+
+
+def _towards(clockwise: np.ndarray, elevation: np.ndarray) -> np.ndarray:
+    """Unit vectors ``float32 [R, 3]``."""
+    across = np.cos(elevation)
+    x, y = across * np.cos(clockwise), -across * np.sin(clockwise)
+    return np.stack([x, y, np.sin(elevation)], axis=-1).astype(np.float32)
+
+
+def _read(name: str, path: Path) -> np.ndarray:
+    """The directions ``[S, R, 3]`` in a file of one's own."""
+    told = f"The LiDAR {name!r}: its directions {path}"
+    rows = "rows must be x, y, z, or azimuth and elevation in degrees"
+    try:
+        if path.stat().st_size > _LARGEST_FILE:
+            raise UavrlError(f"{told} have more than {_LARGEST_FILE:,} bytes, which no sensor needs: give fewer rays.")
+        if path.suffix == ".npy":
+            found = np.load(path, allow_pickle=False)
+        elif path.suffix in (".csv", ".txt"):
+            found = np.loadtxt(path, delimiter=",", ndmin=2)
+        else:
+            raise UavrlError(f"{told} must be a .csv or an .npy file.")
+    except (OSError, ValueError, EOFError) as error:
+        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
+        raise UavrlError(f"{told} cannot be read ({reason}): {rows}.") from error
+    if found.ndim == 2:
+        found = found[None]
+    if found.dtype.kind not in "fiu" or found.ndim != 3 or found.shape[-1] not in (2, 3) or not found.size:
+        raise UavrlError(f"{told} have the shape {list(found.shape)} and type {found.dtype}: {rows}.")
+    scans, rays, numbers = found.shape
+    if rays > MOST_RAYS or scans > MOST_SCANS or scans * rays > 20 * MOST_RAYS:
+        raise UavrlError(f"{told} are {scans} scans of {rays:,} rays; at most {MOST_RAYS:,} rays are possible.")
+    found = found.astype(np.float64)
+    if not np.isfinite(found).all():
+        raise UavrlError(f"{told} hold NaN or infinite values: every ray needs a direction.")
+    if numbers == 2:
+        azimuth, elevation = np.radians(np.moveaxis(found, -1, 0))
+        found = np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
+        )
+    if not (np.linalg.norm(found, axis=-1) > 1e-6).all():
+        raise UavrlError(f"{told} hold a ray of length 0: every ray needs a direction.")
+    return np.asarray(found)

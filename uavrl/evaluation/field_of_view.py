@@ -1,0 +1,100 @@
+"""Which of a policy's cells a LiDAR never sees: the policy would take them for free."""
+
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from omegaconf import DictConfig, OmegaConf
+from torchrl.envs import Transform
+
+from uavrl.config.build import TARGET, build
+from uavrl.envs.lidar import LidarConfig
+from uavrl.errors import UavrlError
+from uavrl.transforms import PointCloudReduction
+
+TRAINED_WITH = "vlp16"  # policies whose configuration does not name their sensor
+_SCANS = 5  # of a pattern that changes: half a second, as much as the frames of a state
+
+log = logging.getLogger(__name__)
+
+
+def trained_sensor(config: DictConfig) -> Any:
+    """Return the sensor that a run was trained with, as :func:`uavrl.envs.sensors.lidar_sensor` takes it."""
+    found = OmegaConf.select(config, "perception.lidar.sensor") or TRAINED_WITH
+    return OmegaConf.to_container(found) if OmegaConf.is_config(found) else found
+
+
+def unseen_cells(
+    perception: Mapping[str, Any], sensor: Any, packages: Iterable[str] = ()
+) -> tuple[list[int], np.ndarray]:
+    """Return the cells that a sensor never sees, and the directions ``[cells, 3]`` of all cells.
+
+    Both are empty where a perception has no cells.
+    """
+    state = None if perception.get(TARGET) is None else build(perception, Transform, packages=packages)
+    parts = () if state is None else state.modules()
+    reduction = next((part for part in parts if isinstance(part, PointCloudReduction)), None)
+    if reduction is None:
+        return [], np.zeros((0, 3))
+    rays = LidarConfig(sensor=sensor).device.rays.directions[:_SCANS].reshape(-1, 3)
+    return reduction.unseen_cells(torch.from_numpy(rays.copy())), reduction.directions().double().numpy()
+
+
+def check_field_of_view(
+    perception: Mapping[str, Any],
+    trained_with: Any = None,
+    packages: Iterable[str] = (),
+    *,
+    allowed: bool = False,
+) -> int:
+    """Return how many cells the LiDAR never sees that the sensor of the training does; refuse them unless allowed.
+
+    Args:
+        perception: validated; its ``lidar`` names the sensor.
+        trained_with: the sensor of the training; None for a policy that was not trained, for which the LiDAR is
+            compared with a VLP-16 and never refused.
+        packages: that the user trusts.
+        allowed: whether a trained policy may fly nevertheless.
+
+    Raises:
+        UavrlError: naming the cells, and what to do.
+    """
+    lidar = perception.get("lidar")
+    if not isinstance(lidar, LidarConfig):
+        return 0
+    device, known = lidar.device, replace(lidar, sensor=trained_with or TRAINED_WITH).device
+    if device == known:
+        return 0
+    unseen, directions = unseen_cells(perception, lidar.sensor, packages)
+    seen_before = set(unseen) - set(unseen_cells(perception, known, packages)[0]) if unseen else set()
+    if not seen_before:
+        return 0
+    told = f"The LiDAR {device.name} never sees {len(seen_before)} of the {len(directions)} cells"
+    where = _where(directions[sorted(seen_before)])
+    if trained_with is None or allowed:
+        log.warning("%s %s; they read as free.", told, where)
+        return len(seen_before)
+    raise UavrlError(
+        f"{told} that the policy was trained to read with {known.name} {where}, so it would take them for free: choose "
+        f"another env.lidar, train a policy for this one with uavrl-train env.lidar={device.name}, or fly nevertheless "
+        "with allow_unseen=true."
+    )
+
+
+def _where(directions: np.ndarray) -> str:
+    """Where cells lie, in words."""
+    elevation = np.degrees(np.arcsin(directions[:, 2].clip(-1, 1))).round().astype(int)
+    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0])) % 360
+    around = np.sort(azimuth)
+    gaps = np.diff(around, append=around[0] + 360)
+    widest = int(gaps.argmax())
+    sides = ""
+    if gaps[widest] > 60:  # they are not all around
+        first, last = around[(widest + 1) % len(around)], around[widest]
+        sides = f", from {first:.0f} to {last:.0f} degrees to the left of straight ahead"
+    low, high = elevation.min(), elevation.max()
+    level = f"an elevation of {low} degrees" if low == high else f"elevations from {low} to {high} degrees"
+    return f"(at {level}{sides})"
