@@ -309,20 +309,32 @@ def test_a_position_that_drifts(policy: Policy) -> None:
 def test_the_fence(policy: Policy) -> None:
     limits = SafetyLimits(box=(-1.0, -1.0, 8.0, 1.0))
     told = items(policy, Come(), limits=limits)
-    assert (
-        levels(told) == {"goal": "fail"} and "12.0 m outside the fence's wall: see safety.box=" in told["goal"].sentence
-    )
+    assert levels(told) == {"goal": "fail"}
+    assert told["goal"].sentence.endswith("12.0 m outside the fence's wall: see goal= and safety.box=.")
     away = Come(pose=lambda n, now: Pose(now, (0.0, 4.0, 0.2), SPEED, 0.1, 0.01), goal=(5.0, 0.0, 2.5))
     told = items(policy, away, limits=limits)
     assert levels(told) == {"position": "fail"} and "3.0 m outside the fence's wall" in told["position"].sentence
-    assert "see safety.ceiling=" in items(policy, Come(goal=(20.0, 0.0, 9.0)))["goal"].sentence
+    assert "and safety.ceiling=" in items(policy, Come(goal=(20.0, 0.0, 9.0)))["goal"].sentence
+
+
+def test_scans_that_no_lidar_measures(policy: Policy) -> None:
+    told = items(policy, Come(scan=lambda n: 1000.0 * ROOM))
+    assert told["field of view"].level is Level.FAIL and "unit millimetres" in told["field of view"].sentence
+
+
+def test_scans_that_do_not_move_as_the_pose_says(policy: Policy) -> None:
+    """Somebody carries the vehicle, whose sensor repeats a scan."""
+    speed = (2.0, 0.0, 0.0)
+    carried = Come(pose=lambda n, now: Pose(now - 0.01, (0.2 * n, 0.0, 2.0), speed, 0.0, 0.01, 0.02), goal=(40.0, 0, 2))
+    told = items(policy, carried)
+    assert levels(told)["position"] == "fail" and "and stood by its scans" in told["position"].sentence
 
 
 def test_guards_that_look_farther_than_the_sensor(policy: Policy) -> None:
     told = items(policy, sights={"evasion": 12.0}, guards="evasion", uses_motion=True)
     assert levels(told) == {"guards": "warn"}
     assert told["guards"].sentence.startswith("No return is farther than 6.0 m, and evasion looks up to 12 m")
-    far = Come(scan=lambda n: 15.0 * RAYS)
+    far = Come(scan=lambda n: np.linspace(13.0, 15.0, len(RAYS), dtype=np.float32)[:, None] * RAYS)
     told = items(policy, far, sights={"evasion": 12.0}, guards="evasion", uses_motion=True)
     assert levels(told) == {} and "(evasion) gave an action to 60 of 60 scans" in told["guards"].sentence
 

@@ -18,7 +18,7 @@ import pytest
 
 from onboard.tests.lidar.test_senders import capture
 from tests.helpers.commands import in_process
-from tests.helpers.exported import exported
+from tests.helpers.exported import edit_contract, exported
 from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from tests.helpers.ports import free_ports
@@ -254,9 +254,9 @@ def test_guards_are_the_contracts_or_those_asked_for_and_know_the_vehicle(
 
     monkeypatch.setattr(fly, "Flight", kept)
     guarded = shutil.copytree(policy, tmp_path / "guarded")
-    contract = json.loads((guarded / "contract.json").read_text())
-    contract["guards"] = GuardTerms.of(GuardSettings.all(), Vehicle(radius=0.4)).model_dump(mode="json")  # type: ignore[union-attr]
-    (guarded / "contract.json").write_text(json.dumps(contract))
+    terms = GuardTerms.of(GuardSettings.all(), Vehicle(radius=0.4))
+    assert terms is not None
+    edit_contract(guarded, lambda contract: contract.update(guards=terms.model_dump(mode="json")))
     recording = [*(each for each in RECORDING if each != "log=null"), f"log={tmp_path / 'flight.mcap'}"]
     vehicle = ("hull.radius=0.3", "hull.height=0.2", "hull.sensor=0.15", "safety.velocity=1.5")
     for folder, told in (

@@ -40,7 +40,11 @@ class Policy:
 
     def __init__(self, action: Sequence[float] = (1.0, 0.5, 0.0, 0.25)) -> None:
         self.contract = SimpleNamespace(
-            rate_hz=10.0, flight_level=3.5, vehicle=Vehicle(), guard_settings=GuardSettings()
+            rate_hz=10.0,
+            flight_level=3.5,
+            vehicle=Vehicle(),
+            guard_settings=GuardSettings(),
+            cloud=SimpleNamespace(lidar=None),
         )
         self.cells: np.ndarray | None = None
         self.last_action = np.zeros(4, np.float32)

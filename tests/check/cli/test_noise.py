@@ -35,7 +35,8 @@ class Straight:
     """Answers with one action whatever comes."""
 
     def __init__(self) -> None:
-        self.contract = SimpleNamespace(rate_hz=10.0, vehicle=Vehicle(), guard_settings=GuardSettings())
+        cloud = SimpleNamespace(lidar=None)
+        self.contract = SimpleNamespace(rate_hz=10.0, vehicle=Vehicle(), guard_settings=GuardSettings(), cloud=cloud)
         self.cells, self.last_action = None, np.zeros(4)
 
     def reset(self) -> None:
