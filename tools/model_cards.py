@@ -3,7 +3,7 @@
     python -m tools.model_cards
 
 A card is made of the other files in the folder: the weights' origin, the configuration, the contract, ``suite.json``
-and ``card.yaml``, which holds the licence, the training command, and sentences about use and limits.
+and ``card.yaml``, which holds the license, the training command, and sentences about use and limits.
 """
 
 from __future__ import annotations

@@ -50,10 +50,10 @@ def test_the_card_of_a_packaged_policy_is_that_of_its_files(name: str, tmp_path:
     assert metadata["pipeline_tag"] == "reinforcement-learning" and "td3" in metadata["tags"]
 
 
-def test_without_an_evaluation_it_has_no_results_and_without_statements_no_licence() -> None:
+def test_without_an_evaluation_it_has_no_results_and_without_statements_no_license() -> None:
     metadata, text = card({})
     assert "model-index" not in metadata and "license" not in metadata
-    assert "There is no evaluation of this policy yet" in text and "has not chosen a licence" in text
+    assert "There is no evaluation of this policy yet" in text and "has not chosen a license" in text
     assert "The command line was not recorded" in text and "(95 %" not in text
 
 

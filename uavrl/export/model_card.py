@@ -25,7 +25,7 @@ PIPELINE = "reinforcement-learning"  # what model hubs call the task
 SAME = ("checkpoint", "training_steps")  # by which an evaluation belongs to a policy
 METRICS = {"success": "success rate", "collision": "collision rate", "time_out": "time-out rate"}
 _UNDECLARED = (
-    "The author has not chosen a licence. Add `license: NAME` to the metadata above before you share the policy."
+    "The author has not chosen a license. Add `license: NAME` to the metadata above before you share the policy."
 )
 
 
@@ -34,7 +34,7 @@ class Statements:
     """What the author of a policy says about it, in ``card.yaml`` beside its weights or its run.
 
     Args:
-        license: identifier of the licence, such as ``"mit"``.
+        license: identifier of the license, such as ``"mit"``.
         command: the command line that trains the policy.
         use: sentences about its purpose.
         limits: sentences about what it cannot do.
@@ -170,7 +170,7 @@ def model_card(
         _results(evaluations, contract),
         "## Files and how to use them",
         _usage(contract),
-        "## Licence",
+        "## License",
         f"`{said.license}`" if said.license else _UNDECLARED,
     ]
     return f"---\n{_metadata(name, plain, contract, evaluations, said)}---\n\n" + "\n\n".join(sections) + "\n"
@@ -196,9 +196,14 @@ def _metadata(
             for key, row in evaluations.items()
         ]
         data["model-index"] = [{"name": name, "results": results}]
-    dumper = yaml.SafeDumper
-    dumper.ignore_aliases = lambda *_: True  # hubs read no references
-    return str(yaml.dump(data, Dumper=dumper, sort_keys=False, allow_unicode=True))
+    return str(yaml.dump(data, Dumper=_Plain, sort_keys=False, allow_unicode=True))
+
+
+class _Plain(yaml.SafeDumper):
+    """Writes equal parts out again, since hubs read no references."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
 
 
 def _metrics(row: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -238,7 +243,8 @@ def _limits(contract: Contract | None) -> list[str]:
 
 def _training(plain: Mapping[str, Any], about: Mapping[str, Any], command: str | None) -> str:
     env, choices = plain["env"], plain.get("choices") or {}
-    world = env.get("world") or {}
+    world = env.get("world")
+    world = world if isinstance(world, Mapping) else {}
     rows = {
         "Data": "episodes that it flew in simulation during its training; no data set",
         "Environment": f"`{env['_target_']}`",

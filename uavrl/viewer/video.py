@@ -38,7 +38,7 @@ class Format:
     rate: int
 
 
-FORMATS = {".mp4": Format((736, 416), 15), ".gif": Format((448, 256), 8)}
+FORMATS = {".mp4": Format((736, 416), 15), ".gif": Format((448, 256), 6)}
 BEHIND, ABOVE, AHEAD = 4.4, 1.7, 2.0  # m from the vehicle: the camera's place, and the point that it looks at
 NEAREST = 0.3  # the share of its distance that the camera keeps in front of an obstacle
 STEADY, EASED = 0.6, 0.4  # s, over which the camera's heading and its distance are smoothed
