@@ -4,23 +4,23 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 from scipy.sparse.csgraph import dijkstra
 
-from uavrl.envs.place import Place, measured_surface
-from uavrl.envs.tasks import CELL, Surface, Task
+from uavrl.envs.place import Place
+from uavrl.envs.tasks import CELL, Task
 from uavrl.envs.traps import ways_at
 from uavrl.envs.world import World
 
-BAND = 1.0  # m above and below the flight level within which surfaces count as beside the way
-WIDEST = 5.0  # m, largest distance to a surface that is told apart
+WIDEST = 10.0  # m, largest width that is told apart
 
 
 class Difficulty(NamedTuple):
     """Of one task.
 
     Attributes:
-        spacing: Mean width of the free space along the shortest way, twice the distance to the nearest surface beside
-            it, in m, at most 10.
+        spacing: Mean width of the free space along the shortest way in m, at most 10: twice the distance at the flight
+            level to where a ball of ``uav_radius`` does not fit, and that ball.
         detour: Length of the shortest way over that of the way without any obstacle; 1 or more.
     """
 
@@ -44,8 +44,9 @@ class DifficultyMeter:
         self._space, level = flight.space, config.flight_level
         self._graph, _ = ways_at(flight, level, config.uav_radius)
         self._shape = flight.corridor.shape[:2]
-        self._surface = Surface(measured_surface(place.scene), level - BAND, level + BAND)
-        self._z, self._origin = level, place.origin
+        fits = flight.corridor[:, :, flight.at(level)]
+        self._width = (2 * (CELL * distance_transform_edt(fits) + config.uav_radius)).clip(max=WIDEST)
+        self._origin = place.origin
 
     def measure(self, start: np.ndarray, goal: np.ndarray) -> Difficulty | None:
         """Measures one task.
@@ -68,9 +69,7 @@ class DifficultyMeter:
         while way[-1] != first:
             way.append(int(before[way[-1]]))
         x, y = np.unravel_index(way, self._shape)
-        points = np.column_stack([self._space.x[x], self._space.y[y], np.full(len(way), self._z)])
-        room = self._surface.clearance(points, WIDEST)
-        return Difficulty(2 * float(room.mean()), max(1.0, float(length[last]) / straight))
+        return Difficulty(float(self._width[x, y].mean()), max(1.0, float(length[last]) / straight))
 
     def _cell(self, place: np.ndarray) -> np.ndarray:
         cell = np.rint((place[:2] - self._origin - (self._space.x[0], self._space.y[0])) / CELL).astype(int)
