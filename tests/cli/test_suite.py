@@ -49,7 +49,7 @@ def test_every_scenario_is_an_evaluation(name: str) -> None:
     expected = {
         "static": (45, 0, 1, (0.0, 0.0, 0.0), 0.0),
         "dynamic": (45, 10, 1, (0.0, 0.0, 0.0), 0.0),
-        "held_out": (45, 0, 10, (0.0, 0.0, 0.0), 0.0),
+        **dict.fromkeys(("held_out", "fast4", "fast6"), (45, 0, 10, (0.0, 0.0, 0.0), 0.0)),
         "dense": (90, 0, 1, (0.0, 0.0, 0.0), 0.0),
         "denser": (135, 0, 1, (0.0, 0.0, 0.0), 0.0),
         "traps": (20, 0, 10, (0.0, 0.0, 0.0), 0.0),
@@ -59,6 +59,7 @@ def test_every_scenario_is_an_evaluation(name: str) -> None:
         **dict.fromkeys(REAL, (45, 0, 10, (0.0, 0.0, 0.0), 0.0)),
     }[name]
     assert (*seen[:3], tuple(seen[3]), seen[4]) == expected
+    assert settings.env.max_speed == {"fast4": 4.0, "fast6": 6.0}.get(name, 2.0)
 
 
 @pytest.mark.parametrize("name", scenarios("all"))

@@ -71,7 +71,8 @@ def test_its_contract_is_of_these_weights_and_this_configuration(name: str) -> N
 @pytest.mark.parametrize("name", packaged_policies())
 def test_its_suite_is_of_this_policy_and_tells_how_each_task_ended(name: str) -> None:
     rows, known = suite(name), about(name)
-    assert set(rows) == set(scenarios("all"))
+    faster = {"fast4", "fast6"}  # than the packaged policies fly, which are limited to 2 m/s
+    assert set(scenarios("all")) - faster <= set(rows) <= set(scenarios("all"))
     for scenario, row in rows.items():
         changed = [each for each in row["overrides"] if not each.startswith(("num_uavs=", "policy="))]
         assert changed == scenarios("all")[scenario]
