@@ -62,6 +62,8 @@ def assert_same(one: Place, other: Place) -> None:
     np.testing.assert_array_equal(one.candidates, other.candidates)
     assert [lane.corners.tolist() for lane in one.lanes] == [lane.corners.tolist() for lane in other.lanes]
     assert [tasks.tolist() for tasks in one.trapped] == [tasks.tolist() for tasks in other.trapped]
+    np.testing.assert_array_equal(one.fits, other.fits)
+    assert one.corner.tolist() == other.corner.tolist()
 
 
 @pytest.mark.parametrize(
@@ -77,7 +79,6 @@ def test_a_valley_from_the_cache_is_the_same_to_the_last_bit(config: WorldConfig
     first, second = built(config), built(config)
     assert mapped == [3] and (len(first.lanes) > 0, len(first.trapped)) == (config.planes > 0, config.traps)
     assert_same(first, second)
-    np.testing.assert_array_equal(second.flight.candidates, first.candidates)  # the map itself is computed when asked
 
 
 def test_what_a_valley_depends_on_is_in_its_name(mapped: list[int], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +127,8 @@ def archive(**arrays: np.ndarray) -> bytes:
 
 def good(**changed: np.ndarray) -> bytes:
     nothing = {"lanes": np.zeros((0, 0, 3)), "trapped": np.zeros((0, 2), np.int64), "traps": np.zeros(0, np.int64)}
-    return archive(**{"candidates": np.ones((4, 2)), **nothing, **changed})
+    level = {"fits": np.ones((3, 3), bool), "corner": np.zeros(2)}
+    return archive(**{"candidates": np.ones((4, 2)), **nothing, **level, **changed})
 
 
 def encrypted(content: bytes) -> bytes:
@@ -153,6 +155,8 @@ def encrypted(content: bytes) -> bytes:
         good(trapped=np.array([[0, 4]]), traps=np.array([1])),
         good(trapped=np.array([[0, 1]]), traps=np.array([2])),
         good(lanes=np.full((1, 6, 3), np.inf)),
+        good(fits=np.zeros((3, 3), bool)),
+        good(corner=np.array([np.nan, 0.0])),
         good().replace(b"(4, 2)", b"(9, 2)"),
         good().replace(b"(4, 2), }             ", b"(99999999999999, 2), }"),
         encrypted(good()),
@@ -170,6 +174,8 @@ def encrypted(content: bytes) -> bytes:
         "index",
         "count",
         "infinite",
+        "nowhere",
+        "corner",
         "long",
         "huge",
         "encrypted",
@@ -200,7 +206,7 @@ def test_a_file_that_claims_to_be_huge_is_not_read(folder: Path, caplog: pytest.
 def test_many_at_once_write_and_read_the_same_valley(folder: Path) -> None:
     made = built()
     name = next(folder.iterdir()).name
-    kept = valley_cache.ValleyMap(made.candidates, made.lanes, made.trapped)
+    kept = valley_cache.ValleyMap(made.candidates, made.lanes, made.trapped, made.fits, made.corner)
 
     def turn(n: int) -> bool:
         valley_cache.save_map(name, kept)

@@ -9,8 +9,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from uavrl.envs.place import Place
 from uavrl.envs.tasks import CELL, Task
-from uavrl.envs.traps import ways_at
 from uavrl.envs.world import World
+from uavrl_onboard.guards.map.grid import Slices, grid_graph
 
 WIDEST = 10.0  # m, largest width that is told apart
 
@@ -40,13 +40,14 @@ class DifficultyMeter:
     """
 
     def __init__(self, place: Place) -> None:
-        config, flight = place.config, place.flight
-        self._space, level = flight.space, config.flight_level
-        self._graph, _ = ways_at(flight, level, config.uav_radius)
-        self._shape = flight.corridor.shape[:2]
-        fits = flight.corridor[:, :, flight.at(level)]
-        self._width = (2 * (CELL * distance_transform_edt(fits) + config.uav_radius)).clip(max=WIDEST)
-        self._origin = place.origin
+        def weighed(here: Slices, there: Slices, apart: float) -> tuple[np.ndarray, np.ndarray]:
+            both = place.fits[here] & place.fits[there]
+            return both, np.full(both.shape, CELL * apart)
+
+        self._graph = grid_graph(place.fits.shape, weighed)[0].tocsr()
+        free = CELL * distance_transform_edt(np.pad(place.fits, 1, mode="edge"))[1:-1, 1:-1]
+        self._width = (2 * (free + place.config.uav_radius)).clip(max=WIDEST)
+        self._shape, self._first = place.fits.shape, place.origin + place.corner
 
     def measure(self, start: np.ndarray, goal: np.ndarray) -> Difficulty | None:
         """Measures one task.
@@ -62,7 +63,7 @@ class DifficultyMeter:
         (dx, dy) = np.abs(cells[0] - cells[1]) * CELL
         straight = max(dx, dy) + (2**0.5 - 1) * min(dx, dy)
         first, last = (int(np.ravel_multi_index(tuple(cell), self._shape)) for cell in cells)
-        length, before = dijkstra(self._graph, indices=first, return_predecessors=True)
+        length, before = dijkstra(self._graph, directed=False, indices=first, return_predecessors=True)
         if not np.isfinite(length[last]) or straight == 0:
             return None
         way = [last]
@@ -72,7 +73,7 @@ class DifficultyMeter:
         return Difficulty(float(self._width[x, y].mean()), max(1.0, float(length[last]) / straight))
 
     def _cell(self, place: np.ndarray) -> np.ndarray:
-        cell = np.rint((place[:2] - self._origin - (self._space.x[0], self._space.y[0])) / CELL).astype(int)
+        cell = np.rint((place[:2] - self._first) / CELL).astype(int)
         return np.clip(cell, 0, np.array(self._shape) - 1)
 
 

@@ -228,7 +228,7 @@ class NavigationEnv(EnvBase):
     def difficulty(self, tasks: Sequence[int]) -> list[Difficulty | None]:
         """How hard tasks of the current seed are, wherever planes would move their starts to.
 
-        It takes a second or two for each place, and some milliseconds for each task.
+        It takes some milliseconds for each task.
         """
         return measure_tasks(self.world, [self.world.sample_task(self._task_rng(task)) for task in tasks])
 

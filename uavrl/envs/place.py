@@ -2,8 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,12 +32,9 @@ class Place:
     scene: Scene
     candidates: np.ndarray  # [C, 2] m: where flights begin and end
     lanes: list[Lane]
-    trapped: list[np.ndarray] = field(default_factory=list)
-
-    @cached_property
-    def flight(self) -> FlightMap:
-        """The map of its free space, which takes a second to make."""
-        return _free_space(self.config, self.scene)
+    trapped: list[np.ndarray]
+    fits: np.ndarray  # bool [X, Y]: where on a grid at the flight level a vehicle fits and is free
+    corner: np.ndarray  # [2] m: the grid's first point
 
     @property
     def size(self) -> tuple[float, float]:
@@ -100,7 +96,7 @@ def build_place(config: WorldRules, number: int, origin: np.ndarray) -> Place:
     if (found := load_map(name)) is None:
         found = _map_place(config, config.seeds[number], scene)
         save_map(name, found)
-    return Place(config.seeds[number], origin, config, scene, found.candidates, found.lanes, found.trapped)
+    return Place(config.seeds[number], origin, config, scene, *found)
 
 
 def _digest(scene: Scene) -> str:
@@ -168,4 +164,6 @@ def _map_place(config: WorldRules, seed: int, scene: Scene) -> ValleyMap:
         rng, radius = np.random.default_rng([seed, 2]), config.plane_wingspan / 2
         top = float(np.ceil(_floor(scene).heights.max() + radius))
         lanes = plan_lanes(rng, triangles_of(scene), scene.size, top, config.ceiling, radius, LANES)
-    return ValleyMap(flight.candidates, lanes, tasks)
+    fits = flight.corridor[:, :, flight.at(config.flight_level)]
+    corner = np.array([flight.space.x[0], flight.space.y[0]], np.float64)
+    return ValleyMap(flight.candidates, lanes, tasks, fits, corner)

@@ -25,7 +25,7 @@ from uavrl.envs.lanes import Lane
 from uavrl.runs.cache import FOLDER, MOST_BYTES, valley_folder
 
 log = logging.getLogger(__name__)
-_FORMAT = 1  # of a file
+_FORMAT = 2  # of a file
 # The code that a map depends on, beside what it imports from NumPy and SciPy.
 _CODE = ("lanes", "mesh", "obstacles", "place", "rules", "tasks", "terrain", "traps", "valley")
 _ONBOARD = ("geometry", "mesh", "guards.map.grid")
@@ -44,11 +44,15 @@ class ValleyMap(NamedTuple):
         candidates: ``[C, 2]``, where flights may begin and end, in m.
         lanes: of planes.
         trapped: start and goal of each trap's tasks as indices into ``candidates``, ``int [P, 2]`` each.
+        fits: where on a grid at the flight level a vehicle fits and is free, ``bool [X, Y]``.
+        corner: x and y of the grid's first point, in m.
     """
 
     candidates: np.ndarray
     lanes: list[Lane]
     trapped: list[np.ndarray]
+    fits: np.ndarray
+    corner: np.ndarray
 
 
 def map_name(rules: Mapping[str, Any]) -> str:
@@ -99,15 +103,19 @@ def _read(path: Path) -> ValleyMap:
         with np.load(file, allow_pickle=False) as data:
             candidates, lanes = data["candidates"], data["lanes"]
             trapped, traps = data["trapped"], data["traps"]
-    fits = candidates.ndim == 2 and candidates.shape[1] == 2 and candidates.dtype == np.float64 and len(candidates)
-    fits = fits and lanes.ndim == 3 and lanes.shape[2] == 3 and lanes.dtype == np.float64
-    fits = fits and trapped.ndim == 2 and trapped.shape[1] == 2 and trapped.dtype == np.int64
-    fits = fits and traps.ndim == 1 and traps.dtype == np.int64 and (traps > 0).all() and traps.sum() == len(trapped)
-    fits = fits and np.isfinite(candidates).all() and np.isfinite(lanes).all()
-    if not fits or (trapped < 0).any() or (trapped >= len(candidates)).any():
+            fits, corner = data["fits"], data["corner"]
+    valid = fits.ndim == 2 and fits.dtype == bool and fits.any() and corner.shape == (2,)
+    valid = valid and corner.dtype == np.float64 and np.isfinite(corner).all()
+    valid = valid and candidates.ndim == 2 and candidates.shape[1] == 2 and candidates.dtype == np.float64
+    valid = valid and len(candidates)
+    valid = valid and lanes.ndim == 3 and lanes.shape[2] == 3 and lanes.dtype == np.float64
+    valid = valid and trapped.ndim == 2 and trapped.shape[1] == 2 and trapped.dtype == np.int64
+    valid = valid and traps.ndim == 1 and traps.dtype == np.int64 and (traps > 0).all() and traps.sum() == len(trapped)
+    valid = valid and np.isfinite(candidates).all() and np.isfinite(lanes).all()
+    if not valid or (trapped < 0).any() or (trapped >= len(candidates)).any():
         raise ValueError("its numbers are not those of a valley")
     parts = np.split(trapped, traps.cumsum()[:-1]) if len(traps) else []
-    return ValleyMap(candidates, [Lane(corners) for corners in lanes], parts)
+    return ValleyMap(candidates, [Lane(corners) for corners in lanes], parts, fits, corner)
 
 
 def _require_small(file: Any) -> None:
@@ -137,6 +145,8 @@ def save_map(name: str, made: ValleyMap) -> None:
         "lanes": np.stack([lane.corners for lane in made.lanes]) if made.lanes else np.zeros((0, 0, 3)),
         "trapped": np.concatenate([np.zeros((0, 2), np.int64), *made.trapped]).astype(np.int64),
         "traps": np.array([len(tasks) for tasks in made.trapped], np.int64),
+        "fits": made.fits,
+        "corner": made.corner,
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
