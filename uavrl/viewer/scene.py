@@ -138,7 +138,8 @@ class Scene:
         picture, depth = colours.reshape(height, width, 3), distances.reshape(height, width)
         edges = np.flatnonzero(_edges(depth))
         rays = [view.rays(columns[edges] + dx, rows[edges] + dy, size) for dx, dy in SAMPLES]
-        many = self._colours(*(np.concatenate(part) for part in zip(*rays, strict=True)), poses)[0]
+        origins, directions = (np.concatenate(part) for part in zip(*rays, strict=True))
+        many, _ = self._colours(origins, directions, poses)
         picture.reshape(-1, 3)[edges] = many.reshape(len(SAMPLES), -1, 3).mean(0)
         return picture, depth
 
