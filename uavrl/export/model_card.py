@@ -66,8 +66,8 @@ def read_statements(folder: Path) -> Statements:
             f"{path} must hold license and command, each a text, and use and limits, each a list of sentences: change "
             f"{', '.join(map(str, wrong))}."
         )
-    found: dict[str, Any] = {key: tuple(value) if known[key] else value for key, value in content.items()}
-    return Statements(**found)
+    values: dict[str, Any] = {key: tuple(value) if known[key] else value for key, value in content.items()}
+    return Statements(**values)
 
 
 def _fits(value: Any, several: bool | None) -> bool:

@@ -139,7 +139,7 @@ class Scene:
         edges = np.flatnonzero(_edges(depth))
         rays = [view.rays(columns[edges] + dx, rows[edges] + dy, size) for dx, dy in SAMPLES]
         origins, directions = (np.concatenate(part) for part in zip(*rays, strict=True))
-        many = self._colours(origins, directions, poses)[0]
+        many, _ = self._colours(origins, directions, poses)
         picture.reshape(-1, 3)[edges] = many.reshape(len(SAMPLES), -1, 3).mean(0)
         return picture, depth
 
