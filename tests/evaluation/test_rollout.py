@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -217,8 +218,24 @@ def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> 
         "steps that reverse the yaw rate                 10.0 %",
     ]
     assert not {"action_change", "yaw_reversals"} & older.keys() and "yaw rate" not in table(older)
-    head, first, second = (line.split()[-2:] for line in suite_table({"static": known, "dense": older}).splitlines())
-    assert (first, second) == (["0.40", "10.0%"], ["–", "–"]) and head == ["change", "reversals"]
+    head, *rows = (line.split() for line in suite_table({"static": known, "dense": older}).splitlines())
+    assert head[-4:] == ["change", "reversals", "by", "detour"]
+    assert [row[-3:] for row in rows] == [["0.40", "10.0%", "–"], ["–", "–", "–"]]
+
+
+def test_success_is_told_in_thirds_of_the_tasks_by_their_difficulty() -> None:
+    hard = [
+        replace(
+            EpisodeResult(k, "collided" if k > 7 else "arrived", 9, 0, 5.0, 6.0, 0.5), detour=1 + k / 10, spacing=2.0
+        )
+        for k in range(12)
+    ]
+    result = summarize(hard[::-1])
+    assert [each["rate"] for each in result["success_by_detour"]] == [1.0, 1.0, 0.0]
+    assert [(each["least"], each["most"]) for each in result["success_by_detour"]][2] == (1.8, 2.1)
+    assert "success, detour 1.80 to 2.10" in table(result) and "success, free width 2.00 to 2.00 m" in table(result)
+    assert suite_table({"static": result}).splitlines()[1].split()[-1] == "100/100/0"
+    assert "success_by_detour" not in summarize(hard[:8]), "too few"
 
 
 def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
