@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -233,7 +234,7 @@ def test_how_often_guards_change_the_velocity_and_by_how_much() -> None:
     result = summarize(flights)
     assert result["guard_share"] == pytest.approx(0.5) and result["guard_change"] == pytest.approx(0.75)
     assert "steps in which guards change the velocity       50.0 %, by 0.75 m/s on average" in table(result)
-    assert suite_table({"static": result}).split()[-1] == "50.0"
+    assert suite_table({"static": result}).split()[-2] == "50.0"
     unguarded = summarize(flights_of(1, 0, 0))
     assert "guard_share" not in unguarded and "guards" not in table(unguarded)
 
@@ -251,9 +252,24 @@ def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> 
     ]
     assert not {"action_change", "yaw_reversals"} & older.keys() and "yaw rate" not in table(older)
     head, first, second = suite_table({"static": known, "dense": older}).splitlines()
-    assert first.split() == ["static", "100.0", "(20.7–100.0)", "0.0", "0.0", "11", "0.50", "0.40", "10.0", "–"]
-    assert second.split()[-3:] == ["–"] * 3
+    assert first.split() == ["static", "100.0", "(20.7–100.0)", "0.0", "0.0", "11", "0.50", "0.40", "10.0", "–", "–"]
+    assert second.split()[-4:] == ["–"] * 4
     assert "success, % (95 % CI)" in head and len(head) == len(first) == len(second)
+
+
+def test_success_is_told_in_thirds_of_the_tasks_by_their_difficulty() -> None:
+    hard = [
+        replace(
+            EpisodeResult(k, "collided" if k > 7 else "arrived", 9, 0, 5.0, 6.0, 0.5), detour=1 + k / 10, spacing=2.0
+        )
+        for k in range(12)
+    ]
+    result = summarize(hard[::-1])
+    assert [each["rate"] for each in result["success_by_detour"]] == [1.0, 1.0, 0.0]
+    assert [(each["least"], each["most"]) for each in result["success_by_detour"]][2] == (1.8, 2.1)
+    assert "success, detour 1.80 to 2.10" in table(result) and "success, free width 2.00 to 2.00 m" in table(result)
+    assert suite_table({"static": result}).splitlines()[1].split()[-5:] == ["100", "/", "100", "/", "0"]
+    assert "success_by_detour" not in summarize(hard[:8]), "too few"
 
 
 def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:
