@@ -156,9 +156,11 @@ def test_the_list_is_what_a_run_hands_over(
         def append_transform(self, transform: object) -> None:
             pass
 
-    told = {"seed": 1, "measure_clearance": True, "tasks": [0]}
+    told = {"seed": 1, "measure_clearance": True, "tasks": [0], "critic_reads": ["wind"]}
     environment.make_env(settings.env, settings.perception, settings.reward, **told).close()
     build_module.build(settings.demonstrator, object)
+    remembering = validate(small_config(tmp_path / "run", "recurrent=gru"))
+    actor_module.make_memory(remembering, sizes)
     actor = actor_module.make_actor(settings, sizes)
     loss = build_module.make_loss(settings, actor, sizes, cpu)
     build_module.make_cloning(settings, loss, sizes, "captured")
@@ -166,7 +168,8 @@ def test_the_list_is_what_a_run_hands_over(
     build_module.make_buffer(settings, Env(), sizes, cpu)  # type: ignore[arg-type]
     loggers.make_logger(settings.logger, tmp_path / "run", "run", "csv")
     groups = [group for group in PARTS if group not in ("algo", "collector")]
-    assert {group: handed_over[settings_part(settings, group)] for group in groups} == {
+    of = {"recurrent": remembering}
+    assert {group: handed_over[settings_part(of.get(group, settings), group)] for group in groups} == {
         group: set(CONTEXT.get(group, ())) for group in groups
     }
     assert handed_over[settings.algo.actor[TARGET]] == set(context_of("algo.actor"))

@@ -83,7 +83,8 @@ def make_env(
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
     own = {**seen, **env, **several}
     asked = [key for key in critic_reads if key in QUANTITIES]
-    base = build(own, EnvBase, packages=packages, key="env", privileged=asked, **context)
+    context |= {"privileged": asked} if asked else {}
+    base = build(own, EnvBase, packages=packages, key="env", **context)
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
