@@ -47,6 +47,16 @@ def log_is_heard() -> None:
         logging.getLogger(name).disabled = False
 
 
+@pytest.fixture(autouse=True)
+def no_command_has_begun(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that a test called in this process may have begun a long time ago."""
+    try:
+        from uavrl.runs import clock
+    except ImportError:  # the tests of uavrl-onboard need no uavrl
+        return
+    monkeypatch.setattr(clock, "_began", [])
+
+
 @pytest.fixture(scope="module", autouse=True)
 def valleys_built_once() -> Iterator[None]:
     """Many tests fly in the same few valleys; tests/envs/test_world.py, which tests their building, builds anew."""

@@ -22,6 +22,8 @@ from uavrl.envs.sensors import SENSORS
 from uavrl.evaluation.field_of_view import trained_sensor, unseen_cells
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import summarize
+from uavrl.runs.episodes import rate_cell
+from uavrl_onboard.cli.process import one_sentence
 from uavrl_onboard.files import replacing
 
 VALLEYS = range(100, 110)  # of held_out
@@ -47,11 +49,10 @@ def row(policy: str, sensor: str, guards: str, episodes: int, vehicles: int) -> 
 
 def line(found: dict[str, Any]) -> str:
     """One row of the table."""
-    rate, low, high = (100 * found["success"][key] for key in ("rate", "low", "high"))
     steps, collided = found["steps_per_arrival"], 100 * found["outcomes"].count("C") / len(found["outcomes"])
     took = "–" if steps is None else f"{steps:.0f}"
     return (
-        f"| `{found['sensor']}` | {found['guards']} | {found['unseen_cells']} | {rate:.1f} ({low:.1f}–{high:.1f}) | "
+        f"| `{found['sensor']}` | {found['guards']} | {found['unseen_cells']} | {rate_cell(found['success'])} | "
         f"{collided:.1f} | {took} | {found['episodes']} |"
     )
 
@@ -83,4 +84,5 @@ def main(words: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()

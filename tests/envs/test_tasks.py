@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from tests.helpers.geometry import bullet_world, point_triangle_distance
 from uavrl.envs.mesh import blob, icosphere
-from uavrl.envs.place import Place
+from uavrl.envs.place import Place, free_space
 from uavrl.envs.tasks import FlightMap, FreeSpace, Task, flight_map, surface_points
 from uavrl.envs.terrain import HeightField
 from uavrl.envs.world import World, WorldConfig
@@ -105,8 +105,8 @@ def test_flying_straight_at_the_goal_works_sometimes(seed: int) -> None:
 def test_dense_valleys_are_solvable(obstacles: int, seed: int) -> None:
     """Two and three times the default's obstacles: there are places, and room for flights in all directions."""
     valley = World(WorldConfig(obstacles=obstacles, seeds=(seed,))).places[0]
-    assert len(valley.flight.candidates) > 100
-    assert (np.ptp(valley.flight.candidates, axis=0) > (20.0, 12.0)).all()
+    assert len(free_space(valley.config, valley.scene).candidates) > 100
+    assert (np.ptp(free_space(valley.config, valley.scene).candidates, axis=0) > (20.0, 12.0)).all()
 
 
 def way_through(flight: FlightMap, starts: np.ndarray) -> list[np.ndarray]:
@@ -149,7 +149,9 @@ def test_every_task_is_joined_by_a_way_that_a_ball_flies_in_the_physics(
     here = [task for task in tasks if task.place == 0][:12]
     ends = np.concatenate([[task.start[:2], task.goal[:2]] for task in here])
     flown = set()
-    for end, way in zip(ends[1:], way_through(world.places[0].flight, ends), strict=True):
+    for end, way in zip(
+        ends[1:], way_through(free_space(world.places[0].config, world.places[0].scene), ends), strict=True
+    ):
         assert np.linalg.norm(way[0, :2] - end) <= 0.25  # the rest of the way is within the clearance of the end
         flown |= set(map(tuple, along(way, 0.1).round(6).tolist()))
     points = np.array(sorted(flown))
@@ -177,7 +179,14 @@ def barrier(*windows: tuple[float, float]) -> Mesh:
 
 def mapped(obstacles: Mesh, clearance: float = 1.5, distance: float = 5.0) -> FlightMap:
     return flight_map(
-        FLAT, obstacles, level=LEVEL, ceiling=CEILING, uav_radius=RADIUS, min_clearance=clearance, min_distance=distance
+        FLAT,
+        obstacles,
+        size=FLAT.size,
+        level=LEVEL,
+        ceiling=CEILING,
+        uav_radius=RADIUS,
+        min_clearance=clearance,
+        min_distance=distance,
     )
 
 
@@ -227,7 +236,7 @@ def test_map_bounds_the_clearance_from_below(world: World) -> None:
     valley: Place = world.places[0]
     mesh = Mesh.merge([*valley.ground.tiles(), *(o.mesh for o in valley.obstacles)])
     corners = np.moveaxis(mesh.vertices[mesh.faces].astype(float), 1, 0)
-    space = valley.flight.space
+    space = free_space(valley.config, valley.scene).space
     near = np.argwhere((space.clearance > 0) & (space.clearance < 0.55))
     for i, j, k in np.random.default_rng(0).permutation(near)[:25]:
         exact = point_triangle_distance(space.points[i, j, k], *corners)

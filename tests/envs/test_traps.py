@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from tests.helpers.geometry import assert_closed, cast, embree
 from uavrl.config import compose, validate
-from uavrl.envs.place import Place
+from uavrl.envs.place import Place, free_space
 from uavrl.envs.tasks import Task
 from uavrl.envs.traps import KINDS, LONGEST_WAY, PASSAGE, SIGHT, along, pocket, ways_at
 from uavrl.envs.world import World, WorldConfig
@@ -94,8 +94,9 @@ def test_every_straight_line_meets_a_closed_side_from_within(world: World, tasks
 def test_the_map_has_a_way_around_that_is_longer_and_short_enough(world: World, tasks: list[Task]) -> None:
     for task in tasks[:12]:
         valley, start, goal = in_valley(world, task)
-        graph, nodes = ways_at(valley.flight, LEVEL, TRAPPED.uav_radius)
-        first, last = (nodes[np.linalg.norm(valley.flight.candidates - xy, axis=1).argmin()] for xy in (start, goal))
+        flight = free_space(valley.config, valley.scene)
+        graph, nodes = ways_at(flight, LEVEL, TRAPPED.uav_radius)
+        first, last = (nodes[np.linalg.norm(flight.candidates - xy, axis=1).argmin()] for xy in (start, goal))
         way = float(dijkstra(graph, indices=first, limit=LONGEST_WAY + 1)[last])
         assert np.linalg.norm(goal - start) + 0.5 < way <= LONGEST_WAY + 1
 

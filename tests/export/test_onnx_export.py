@@ -151,7 +151,9 @@ def test_without_the_extra_the_rest_is_written_and_a_hint_given(
     folder = policy_folder(tmp_path / "own", *SMALL)
     monkeypatch.setitem(sys.modules, missing, None)
     export_policy(folder, None, tmp_path / "exported")
-    assert set(content(tmp_path / "exported")) == {"config.yaml", "contract.json", "policy.json", "policy.safetensors"}
+    assert set(content(tmp_path / "exported")) == {
+        *("README.md", "config.yaml", "contract.json", "policy.json", "policy.safetensors")
+    }
     assert '"network"' not in (tmp_path / "exported/contract.json").read_text()
     (record,) = caplog.records
     assert f"it needs {missing}. To have it, pip install 'uavrl[export]' and export again" in record.getMessage()

@@ -51,6 +51,7 @@ def refusal(folder: Path, terms: dict[str, Any], change: Callable[[dict[str, Any
     """The sentence with which a folder is refused whose contract is ``terms``, changed."""
     changed = copy.deepcopy(terms)
     change(changed)
+    changed.pop("sha256", None)
     (folder / "contract.json").write_text(json.dumps(changed))
     with pytest.raises(UavrlError) as caught:
         Policy(folder)

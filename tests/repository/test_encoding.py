@@ -19,7 +19,7 @@ def without_encoding(source: str) -> Iterator[ast.Call]:
         owner = (
             node.func.value.id if isinstance(node.func, ast.Attribute) and isinstance(node.func.value, ast.Name) else ""
         )
-        if called not in TEXTS or owner in ("os", "zipfile", "Image", "webbrowser", "urllib"):
+        if called not in TEXTS or owner in ("os", "zipfile", "Image", "webbrowser", "urllib", "av"):
             continue
         modes = [a.value for a in (*node.args, *(k.value for k in node.keywords)) if isinstance(a, ast.Constant)]
         binary = called == "open" and any("b" in str(mode) and len(str(mode)) <= 3 for mode in modes)

@@ -88,7 +88,7 @@ def test_a_training_is_refused_before_it_writes_through_a_link(
     run = tmp_path / "run"
     run.mkdir()
     (run / HOLDER).symlink_to(tmp_path / "mine")
-    monkeypatch.setattr("uavrl.training.sweep.run_folder", lambda _: run)
+    monkeypatch.setattr("uavrl.training.sweep.run_folder", lambda *_: run)
     assert in_process(train_command.main, *mode, *TINY, f"run_dir={run}", f"hydra.sweep.dir={tmp_path / 'sweep'}") == 1
     assert "is a link that leads out of" in capfd.readouterr().err
     assert (tmp_path / "mine").read_text() == "untouched"

@@ -71,10 +71,10 @@ def test_a_run_on_the_machine_that_it_knows_says_nothing(tmp_path: Path, caplog:
 def test_a_sweep_s_folder_is_the_same_on_every_machine(key: str, tmp_path: Path) -> None:
     one, other = (with_run_dir(tmp_path / "run", *SMALL) for _ in range(2))
     OmegaConf.update(other, key, OTHER[key])
-    assert run_folder(one) == run_folder(other)
+    assert run_folder(one, {}) == run_folder(other, {})
     OmegaConf.update(other, "seed", 5)
     other.run_dir = one.run_dir = "here"
-    assert run_folder(one) != run_folder(other)
+    assert run_folder(one, {}) != run_folder(other, {})
 
 
 def test_a_sweep_keeps_what_a_run_has_chosen_by_itself() -> None:

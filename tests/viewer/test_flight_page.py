@@ -56,7 +56,7 @@ def test_the_numbers_in_the_page_are_those_of_the_flight(page: Page) -> None:
         assert shown["path_efficiency"] == flight.summary.path_efficiency
         assert shown["reward_names"] == list(flight.reward_names)
         forward, left, up, yaw_rate = np.abs(np.diff(flight.actions, axis=0)).mean(0)
-        change = f"{forward:.2f} / {left:.2f} / {up:.2f} m/s, {yaw_rate:.2f} rad/s"
+        change = f"{forward:.2f} / {left:.2f} / {up:.2f} m/s (forward / left / up), {yaw_rate:.2f} rad/s (yaw rate)"
         reversals = f"{100 * (flight.summary.yaw_reversals or 0):.1f} %"
         assert list(shown["smoothness"].values()) == [change, reversals]
 

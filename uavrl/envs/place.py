@@ -107,7 +107,8 @@ def _digest(scene: Scene) -> str:
     return digest.hexdigest()
 
 
-def _free_space(config: WorldRules, scene: Scene) -> FlightMap:
+def free_space(config: WorldRules, scene: Scene) -> FlightMap:
+    """Map the free space of a scene, which takes a second or two."""
     return flight_map(
         _floor(scene),
         measured_surface(scene),
@@ -148,7 +149,7 @@ def _cut(mesh: Mesh, size: tuple[float, float]) -> Mesh:
 
 def _map_place(config: WorldRules, seed: int, scene: Scene) -> ValleyMap:
     """Finds where flights begin and end, the tasks of traps, and lanes for planes."""
-    flight = _free_space(config, scene)
+    flight = free_space(config, scene)
     if not len(flight.candidates):
         raise UavrlError(config.without_tasks(seed, scene, flight.area_at(config.flight_level)))
     rng = np.random.default_rng([seed, 4])

@@ -39,6 +39,8 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
         )
     if not any(isinstance(each, trimesh.Trimesh) and len(each.faces) for each in scene.geometry.values()):
         found = [each.vertices for each in scene.geometry.values() if hasattr(each, "vertices")]
+        if not sum(map(len, found)):
+            raise ValueError("it holds neither triangles nor points")
         return _points_of(np.concatenate([np.zeros((0, 3)), *found])), np.zeros((0, 3), np.int64)
     mesh = scene.to_mesh()
     return _points_of(mesh.vertices), np.asarray(mesh.faces, np.int64)

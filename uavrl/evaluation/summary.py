@@ -139,6 +139,11 @@ def _valley_lines(valleys: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, s
     return lines + ([("valleys with fewer than ten tasks", f"{few}, whose rates are in the file")] if few else [])
 
 
+def _third_cell(result: Mapping[str, Any]) -> str:
+    shares = [100 * each["rate"] for each in result.get("success_by_detour", ())]
+    return " / ".join(f"{share:.0f}" for share in shares) or "–"
+
+
 def _third_lines(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The success rates of easy, middling and hard tasks."""
     lines = []
@@ -182,7 +187,7 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
             _number(result["median_clearance"], ".2f"),
             _number((result.get("action_change") or [None])[-1], ".2f"),
             *(_number(None if share is None else 100 * share, ".1f") for share in shares),
-            " / ".join(f"{100 * each['rate']:.0f}" for each in result.get("success_by_detour", ())) or "–",
+            _third_cell(result),
         )
         lines.append(f"{name:<14}" + "  ".join(f"{c:>{len(h)}}" for c, h in zip(cells, heads, strict=True)))
     return "\n".join(lines)

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.errors import UavrlError
 from uavrl.runs.config import read_config
-from uavrl.runs.episodes import RATES
+from uavrl.runs.episodes import RATES, rate_cell
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.files import replacing
 from uavrl_onboard.pluralize import pluralize
@@ -286,7 +286,7 @@ def _results(evaluations: Mapping[str, Mapping[str, Any]], contract: Contract | 
     ]
     for name, row in evaluations.items():
         rates = [row[key] for key in METRICS]
-        shown = [f"{100 * each['rate']:.1f} ({100 * each['low']:.1f}–{100 * each['high']:.1f})" for each in rates]
+        shown = [rate_cell(each) for each in rates]
         lines.append(f"| {name} | {row['episodes']:,} | {', '.join(_guards(row)) or 'none'} | {' | '.join(shown)} |")
     note = (
         "Fixed tasks without exploration noise, with 95 % confidence intervals (Wilson). The intervals cover the tasks "
