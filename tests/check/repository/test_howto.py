@@ -37,7 +37,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_each_page_with_python_is_run_here() -> None:
     assert {page for page in PAGES if blocks(page, "python")} == {
-        *("gpu", "guards", "lidar", "moving_obstacles", "onnx", "vehicle")
+        *("gpu", "guards", "lidar", "moving_obstacles", "onnx", "sensors", "vehicle")
     }
 
 
@@ -46,6 +46,12 @@ def test_a_point_cloud(run: Any) -> None:
     assert names["cells"].shape == (72,) and names["faces"].shape == (8, 32)
     np.testing.assert_allclose(names["faces"][7], truncated_icosahedron(names["points"]), atol=1e-6)
     assert names["transform"].in_keys == ["point_cloud"]
+
+
+def test_a_sensor(run: Any) -> None:
+    names = run("sensors")
+    assert names["mine"].num_rays == 3600
+    names["env"].close()
 
 
 def test_a_vehicle(run: Any) -> None:
