@@ -1,5 +1,7 @@
 """Networks as plain ``torch.nn`` modules."""
 
+from typing import TYPE_CHECKING, Any
+
 from uavrl.models.actor_critic import Actor, Critic, GaussianActor, mlp
 from uavrl.models.collision import (
     CollisionClassifier,
@@ -10,9 +12,11 @@ from uavrl.models.collision import (
     confusion_rates,
 )
 from uavrl.models.dynamics import RewardNet, SystemNet
-from uavrl.models.memory import GRUMemory, RecurrentPolicy
 from uavrl.models.one_shot import OneShotClassifier
 from uavrl.models.psae import PSAE, TrajectoryClassifier
+
+if TYPE_CHECKING:
+    from uavrl.models.memory import GRUMemory, RecurrentPolicy
 
 __all__ = [
     "PSAE",
@@ -33,3 +37,12 @@ __all__ = [
     "confusion_rates",
     "mlp",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load TorchRL only for networks with a memory."""
+    if name in ("GRUMemory", "RecurrentPolicy"):
+        from uavrl.models import memory
+
+        return getattr(memory, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
