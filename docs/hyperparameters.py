@@ -8,7 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from uavrl.cli.help import keys
+from uavrl.cli.help import choice_keys, keys
 from uavrl.config import compose, conf_dir
 
 # The sections of the page, and the groups in each; "" are the keys of no group.
@@ -24,6 +24,7 @@ SECTIONS = {
 }
 HEAD = ("key", "default", "`preset=dagger`", "meaning")
 LONGEST = 8  # numbers of a list that are shown
+MISSING = "???"  # stands for a value that must be given
 _ABSENT = object()
 
 
@@ -39,12 +40,12 @@ def tables() -> dict[str, str]:
 
 
 def _rows(group: str, usual: DictConfig, best: DictConfig, name: str = "config") -> Iterator[tuple[str, ...]]:
-    files = [conf_dir() / f"{name}.yaml"] if not group else sorted((conf_dir() / group).glob("*.yaml"))
-    files = [file for file in files if "# @package" not in file.read_text(encoding="utf-8")]
+    choices = sorted(file.stem for file in (conf_dir() / group).glob("*.yaml")) if group else []
+    files = [choice_keys(group, choice).values() for choice in choices] or [keys(conf_dir() / f"{name}.yaml")]
     meanings: dict[str, str] = {}
-    for key in (key for file in files for key in keys(file, f"{group}." if group else "")):
+    for key in (key for file in files for key in file):
         meanings.setdefault(key.name, key.meaning)
-    composed = {file.stem: compose(f"{group}={file.stem}", name=name) for file in files if group}
+    composed = {choice: compose(f"{group}={choice}", name=name) for choice in choices}
     for key, meaning in meanings.items():
         default = _value(usual, key)
         others: dict[str, list[str]] = {}
@@ -64,6 +65,8 @@ def _value(config: DictConfig, key: str) -> Any:
     """A key's value as one would type it; ``_ABSENT`` where there is none, or keys below it."""
     above, _, last = key.rpartition(".")
     node = OmegaConf.select(config, above) if above else config
+    if isinstance(node, DictConfig) and OmegaConf.is_missing(node, last):
+        return MISSING
     if not isinstance(node, DictConfig) or last not in node:
         return _ABSENT
     raw = OmegaConf.to_container(node, resolve=False)[last]  # type: ignore[index, call-overload]

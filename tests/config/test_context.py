@@ -74,7 +74,10 @@ def test_it_is_refused_before_a_folder_is_made(tmp_path: Path, refused: Callable
         ("+algo.execution=eager", "There is no key 'algo.execution'"),
         ("+algo.loss=1", "There is no key 'algo.loss'"),
         ("+perception.max_steps=5", "perception.max_steps and env.max_steps are the same value: leave one of the two"),
-        ("+env.lidar.max_range=2", "perception.lidar and env.lidar are the same value: leave one of the two out"),
+        (
+            "+env.lidar.max_range=2",
+            "The LiDAR 'own' needs one kind of rays: give elevations and azimuth_steps",
+        ),  # a sensor of one's own
     ],
 )
 def test_nor_does_a_part_take_the_place_of_another(override: str, told: str) -> None:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import yaml
@@ -15,6 +16,8 @@ from tests.helpers.folders import ROOT
 from uavrl.cli import evaluate as command
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.envs import world as world_module
+from uavrl.envs.place import Place
+from uavrl.envs.rules import WorldRules
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import PACKAGED, choose
 from uavrl.evaluation.worlds import unseen_seeds, worlds_text
@@ -45,6 +48,7 @@ def test_the_default_is_the_row_of_the_suite_that_is_called_held_out() -> None:
     worlds = [to_plain(each.env) for each in (row, default)]
     for world in worlds:
         del world["num_uavs"], world["world"]["plane_wingspan"]  # of vehicles at a time, and of no planes
+        assert world.pop("max_speed", 2.0) == 2.0  # the default, where the policy's own file does not say it
     assert worlds[0] == worlds[1]
     trained = load_config(PACKAGED / "best/config.yaml").env
     assert list(trained.world.seeds) == TRAINED and list(trained.world.obstacles) == [45, 90], (
@@ -101,10 +105,13 @@ def test_a_command_builds_the_valleys_of_its_tasks_alone_and_says_so_from_the_be
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """Vehicles that are done before the last one go on in the valleys that there are."""
-    built, build = [], world_module.build_valley
-    monkeypatch.setattr(
-        world_module, "build_valley", lambda config, seed, *rest: built.append(seed) or build(config, seed, *rest)
-    )
+    built, build = [], world_module.build_place
+
+    def recorded(config: WorldRules, number: int, origin: np.ndarray) -> Place:
+        built.append(config.seeds[number])
+        return build(config, number, origin)
+
+    monkeypatch.setattr(world_module, "build_place", recorded)
     monkeypatch.setenv("UAVRL_CACHE", str(tmp_path / "cache"))
     output = tmp_path / "told.json"
     words = ["policy=straight", "episodes=3", "env.max_steps=60", *VALLEY, f"output={output}"]

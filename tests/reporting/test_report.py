@@ -186,10 +186,10 @@ def test_the_steps_that_a_scripted_controller_flies_are_told_in_steps_and_episod
         run_folder(tmp_path / "shown1", "a" * 3, {"demonstrator": "vfh"}, seed=1, **flown),
         run_folder(tmp_path / "alone", "c" * 9, algo__learning_starts=45),
     ]
-    report = make_report(folders)
+    report = make_report(folders, window=2)
     assert [group["demonstrated"] for group in report.groups] == [{"steps": 45, "episodes": 4}, None]
     text = re.sub(r"\s+", " ", page(report))
     assert f"In the grey band a scripted controller flies: the first 45 steps of {report.groups[0]['label']}." in text
     bands = re.findall(r'"type":"rect","x0":0,"x1":(\d+)', text)
     assert bands == ["45"] * 4 + ["4"] * 4, "one in each figure over steps, and one in each over episodes"
-    assert "grey band" not in page(make_report(folders[2:]))
+    assert "grey band" not in page(make_report(folders[2:], window=2))

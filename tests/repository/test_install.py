@@ -143,6 +143,6 @@ def test_the_light_install_brings_neither_simulator_nor_trainer() -> None:
         *("numpy", "scipy", "safetensors", "sortedcontainers"),
     }
     sim = {r.name for r in requirements("sim")} - light
-    assert sim == {"pybullet", "pybullet-arm64", "embreex", "gymnasium"}
+    assert sim == {"pybullet", "pybullet-arm64", "embreex", "gymnasium", "trimesh", "pypcd4"}
     train = {r.name for r in requirements("train")} - light - sim
     assert train == {"scikit-learn", "threadpoolctl", "kneed", "hydra-core", "tqdm", "filelock"}

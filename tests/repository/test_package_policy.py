@@ -49,7 +49,7 @@ def test_the_folder_is_made_anew(
     old.parent.mkdir(parents=True)
     old.write_text("{}")
     folder = packaged(suite)
-    names = {"config.yaml", "contract.json", "policy.json", "policy.safetensors", "suite.json"}
+    names = {"README.md", "config.yaml", "contract.json", "policy.json", "policy.safetensors", "suite.json"}
     assert set(content(folder)) == names
     written = json.loads((folder / "suite.json").read_text())
     assert list(written) == list(scenarios("all")) and "run" not in written["dense"]

@@ -67,7 +67,7 @@ def test_what_has_no_range_stays_a_type(shown: Any) -> None:
     [
         (
             NavigationEnv,
-            "(num_uavs: 'int in [1, 512]' = 8, *, world: uavrl.envs.world.WorldConfig | None = None, lidar: ",
+            "(num_uavs: 'int in [1, 512]' = 8, *, world: uavrl.envs.valley.WorldConfig | None = None, lidar: ",
         ),
         (Actor, "(observations: int, actions: int, hidden: 'Sequence[int], one or more widths above 0' = (400, 300), "),
         (ABR, "(multiplier: 'float ≥ 0' = 0.2, threshold: 'float in (0, 1]' = 0.98, max_classes: 'int ≥ 1' = 20000, "),

@@ -3,13 +3,14 @@
 import json
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.command import command, given_overrides
 from uavrl.cli.suite import evaluate_suite
@@ -40,8 +41,9 @@ NOT_OF_A_REPLAY = (*PLAIN_KEYS, "policy", "num_uavs")  # named anew, or unknown 
 def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
     require_named(config)  # before all else: validating the environment loads torch
-    if config.get("progress") is True:
-        log.info("Loading %s ...", config.run or config.policy or "the policy")
+    with suppress(OmegaConfBaseException):  # a value that cannot be read is told by validate
+        if config.progress is True:
+            log.info("Loading %s ...", config.run or config.policy or "the policy")
     settings = validate(config, EvaluateConfig)
     if settings.suite is not None:
         evaluate_suite(settings, evaluate, given_overrides())

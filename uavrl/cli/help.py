@@ -108,15 +108,26 @@ def keys(path: Path, prefix: str = "") -> list[Key]:
     return found
 
 
+def choice_keys(group: str, choice: str) -> dict[str, Key]:
+    """The keys of a choice by their names, with those that it takes from the files in its defaults."""
+    path = conf_dir() / group / f"{choice}.yaml"
+    text = path.read_text(encoding="utf-8")
+    if "# @package" in text:  # its place is elsewhere
+        return {}
+    known: dict[str, Key] = {}
+    for taken in re.findall(r"^  - ([\w/]+)(?:@_here_)?(?:\s+#.*)?$", text, flags=re.MULTILINE):
+        if taken != "_self_":
+            known |= choice_keys(group, taken)
+    return known | {key.name: key for key in keys(path, f"{group}.")}
+
+
 def _known(main: Path, groups: dict[str, list[str]], chosen: dict[str, str]) -> dict[str, Key]:
     """All keys by their names, as the command itself has them, or else the choice that is its default."""
     known = {key.name: key for key in keys(main)}
     for group, found in groups.items():
         for choice in sorted(found, key=lambda choice: choice != chosen[group]):  # that of the defaults first
-            path = conf_dir() / group / f"{choice}.yaml"
-            if "# @package" not in path.read_text(encoding="utf-8"):  # else its place is elsewhere
-                known |= {key.name: key for key in keys(path, f"{group}.") if key.name not in known}
-        for path in sorted((conf_dir() / group).glob("*/*.yaml")):  # what several choices share
+            known |= {name: key for name, key in choice_keys(group, choice).items() if name not in known}
+        for path in sorted((conf_dir() / group).glob("*/*.yaml")):  # what is chosen with another part
             known |= {key.name: key for key in keys(path, f"{group}.") if key.name not in known}
     return known
 
