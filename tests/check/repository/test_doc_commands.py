@@ -61,7 +61,7 @@ def test_a_command_of_the_docs_composes(page: str, line: str, monkeypatch: pytes
     if command in ON_BOARD:
         settings(*ON_BOARD[command], words[1:])
         return
-    overrides = [word for word in words[1:] if "=" in word and not word.startswith("-")]
+    overrides = [word for word in words[1:] if word.startswith("~") or ("=" in word and not word.startswith("-"))]
     sweep = [word for word in overrides if OverridesParser.create().parse_override(word).is_sweep_override()]
     first = [word.partition(",")[0] if word in sweep else word for word in overrides]
     name = YAML[command]
