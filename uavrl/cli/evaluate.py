@@ -42,8 +42,8 @@ def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
     require_named(config)  # before all else: validating the environment loads torch
     with suppress(OmegaConfBaseException):  # a value that cannot be read is told by validate
-        if config.progress is True:
-            log.info("Loading %s ...", config.run or config.policy or "the policy")
+        if config.progress is True and (flown := config.run or config.policy):
+            log.info("Loading %s ...", flown)
     settings = validate(config, EvaluateConfig)
     if settings.suite is not None:
         evaluate_suite(settings, evaluate, given_overrides())
