@@ -20,8 +20,8 @@ ROOT = Path(__file__).resolve().parents[3]
 # -S: no .pth file runs, so that an editable installation of the checkout stays out of sight.
 TRAIN = """
 import sys
-unpacked, site_packages, *arguments = sys.argv[1:]
-sys.path[:0] = [unpacked]
+unpacked, onboard, site_packages, *arguments = sys.argv[1:]
+sys.path[:0] = [unpacked, onboard]
 sys.path.append(site_packages)
 import uavrl
 from uavrl.config import conf_dir
@@ -91,10 +91,12 @@ def test_the_wheel_of_what_flies_holds_all_of_its_package_and_its_commands(tmp_p
 
 
 @pytest.mark.slow
-def test_the_wheel_trains_outside_the_checkout(unpacked: Path, tmp_path: Path) -> None:
+def test_the_wheels_train_outside_the_checkout(unpacked: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(built(ROOT / "onboard", tmp_path)) as archive:
+        archive.extractall(tmp_path / "onboard")
     arguments = [*TINY, "trainer.episodes=2", f"run_dir={tmp_path / 'run'}"]
     site_packages = sysconfig.get_path("purelib")
-    command = [sys.executable, "-I", "-S", "-c", TRAIN, str(unpacked), site_packages, *arguments]
+    command = [sys.executable, "-I", "-S", "-c", TRAIN, str(unpacked), str(tmp_path / "onboard"), site_packages, *arguments]
     result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert result.returncode == 0, result.stderr
     assert json.loads((tmp_path / "run/summary.json").read_text())["episodes"] == 2
