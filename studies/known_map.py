@@ -31,6 +31,7 @@ from torchrl.envs import EnvBase
 from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.build import build
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
+from uavrl.envs.place import free_space
 from uavrl.envs.tasks import FlightMap
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import scenarios
@@ -148,7 +149,8 @@ class KnowsTheMap:
 
     def __init__(self, env: NavigationEnv, narrow: float = NARROW) -> None:
         self.world = env.world
-        self.valleys = {valley.seed: (valley, Ways(valley.flight, narrow)) for valley in env.world.places}
+        places = env.world.places
+        self.valleys = {each.seed: (each, Ways(free_space(each.config, each.scene), narrow)) for each in places}
         self._following: dict[int, np.ndarray] = {}  # of the tasks that are being flown
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
