@@ -95,7 +95,7 @@ def test_who_knows_the_map_arrives_and_is_not_sooner_than_straight_on(said: Said
     told = said("known_map", "--rows", "static", "--tasks", 2, "--json", tmp_path / "found.json")
     found = json.loads((tmp_path / "found.json").read_text())["static"]
     assert found["outcomes"] == "SS" and found["straight"] <= found["steps"] <= found["longest"] < 300
-    assert "| static | 100.0%" in told
+    assert "| static | 100.0 (34.2–100.0) |" in told
 
 
 def test_the_way_to_the_goal_leads_around_and_is_flown_as_fast_as_it_is_wide(said: Said) -> None:

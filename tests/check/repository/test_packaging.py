@@ -96,7 +96,8 @@ def test_the_wheels_train_outside_the_checkout(unpacked: Path, tmp_path: Path) -
         archive.extractall(tmp_path / "onboard")
     arguments = [*TINY, "trainer.episodes=2", f"run_dir={tmp_path / 'run'}"]
     site_packages = sysconfig.get_path("purelib")
-    command = [sys.executable, "-I", "-S", "-c", TRAIN, str(unpacked), str(tmp_path / "onboard"), site_packages, *arguments]
+    folders = [str(unpacked), str(tmp_path / "onboard"), site_packages]
+    command = [sys.executable, "-I", "-S", "-c", TRAIN, *folders, *arguments]
     result = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert result.returncode == 0, result.stderr
     assert json.loads((tmp_path / "run/summary.json").read_text())["episodes"] == 2
