@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import cast
 
 import torch
@@ -91,9 +92,7 @@ class RecurrentPolicy(TensorDictSequential):
 
 def frozen_copy(memory: GRUMemory) -> GRUMemory:
     """Return a copy of a memory that no optimiser moves."""
-    made = GRUMemory(memory.gru.input_size, memory.size, burn_in=memory.burn_in, length=memory.length)
-    made.load_state_dict(memory.state_dict())
-    return made.requires_grad_(False).to(next(memory.parameters()))
+    return copy.deepcopy(memory).requires_grad_(False)
 
 
 def taken_at(values: Tensor, places: Tensor) -> Tensor:
