@@ -15,6 +15,7 @@ from uavrl.transforms.state import REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evade import evade
+from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on
 from uavrl_onboard.perception.reductions import Reduction
@@ -29,10 +30,10 @@ STANDING = 0.1  # share of the largest velocity below which a vehicle flies in n
 BEHIND = 60.0  # degrees to either side of straight behind; with 30 the yaw still reversed, in 16 of 200 starts
 BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one are blended with it
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
-# Of a controller that keeps headway, as uavrl_onboard.guards.shield.Shield has them:
-LAG = 0.3  # s until a commanded velocity is flown
-KEPT = VEHICLE.radius + 0.12  # m from the sensor to the hull, and a margin
-SIGHT = 2.5  # m, how far obstacles bound the speed
+# Of a controller that keeps headway, as the shield:
+LAG = Shield.lag  # s until a commanded velocity is flown
+KEPT = VEHICLE.radius + Shield.margin  # m from the sensor to the hull, and a margin
+SIGHT = Shield.sight  # m, how far obstacles bound the speed
 CORRECTIONS = 10  # of a velocity, after which it is halved where it is still 0.1 m/s too fast
 
 
