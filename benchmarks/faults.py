@@ -56,7 +56,7 @@ FAULTS = (
     Fault("another model's packets", ("faults.product=33",), None),
     Fault("pose silent for 0.3 s", (f"faults.pose_silent={_MOMENT}",)),
     Fault("pose silent for good", (f"faults.pose_silent={_EVER}",)),
-    Fault("pose told 5 times per second", (f"faults.slow_pose={_EVER}",)),
+    Fault("pose sent 5 times per second", (f"faults.slow_pose={_EVER}",)),
     Fault("position off by 20 m for 0.3 s", (f"faults.pose_jump={_MOMENT}",)),
     Fault("position at the goal for 0.3 s", (f"faults.pose_jump={_MOMENT}", "faults.jump=GOAL")),
     Fault("position off by 20 m for good", (f"faults.pose_jump={_EVER}",)),

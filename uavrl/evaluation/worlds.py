@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 from uavrl_onboard.pluralize import pluralize
 
 UNSEEN, TRAINING = "unseen", "training"
+VALLEYS = ("static", "dynamic")  # env=; the other worlds of several seeds are no valleys
 FIRST, COUNT = 100, 10  # the seeds of the suite's row held_out, which no preset trains in
 
 
@@ -59,11 +60,14 @@ def worlds_text(result: Mapping[str, Any]) -> str:
         '2 of its training valleys (seeds 0–1), env=static'
         >>> worlds_text({"env": "dynamic", "valleys": [7]})
         '1 valley (seed 7), env=dynamic'
+        >>> worlds_text({"env": "forest", "valleys": [100, 101], "training_valleys": [0]})
+        '2 unseen worlds (seeds 100–101), env=forest'
     """
     env, valleys = f"env={result['env']}", result.get("valleys")
     if not valleys:
         return env
-    trained, several = result.get("training_valleys"), pluralize(len(valleys), "valley")
+    kind = "valley" if result["env"] in VALLEYS else "world"
+    trained, several = result.get("training_valleys"), pluralize(len(valleys), kind)
     seen = set(valleys) & set(trained or ())
     if trained is not None:
         number, noun = several.split()
@@ -71,9 +75,9 @@ def worlds_text(result: Mapping[str, Any]) -> str:
         if seen == set(trained):
             several = f"its {'' if len(seen) == 1 else f'{len(seen):,} '}training {noun}"
         elif len(seen) == len(set(valleys)):
-            several = f"{number} of its training valleys"
+            several = f"{number} of its training {kind}s"
         elif seen:
-            several = f"{number} valleys, {len(seen):,} of them from its training"
+            several = f"{number} {kind}s, {len(seen):,} of them from its training"
     return f"{several} (seed{'' if len(valleys) == 1 else 's'} {seed_ranges(valleys)}), {env}"
 
 

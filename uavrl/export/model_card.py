@@ -12,6 +12,7 @@ import yaml
 from omegaconf import DictConfig, OmegaConf
 
 from uavrl.errors import UavrlError
+from uavrl.evaluation.worlds import unseen_seeds
 from uavrl.runs.config import read_config
 from uavrl.runs.episodes import RATES, rate_cell
 from uavrl.runs.weights import POLICY
@@ -301,6 +302,9 @@ def _keys(row: Mapping[str, Any], guarded: bool) -> list[str]:
     """The keys of an evaluation, for a policy that flies with guards by default or not."""
     told = [str(each) for each in row.get("overrides") or []]
     keys = [each for each in told if not each.startswith(("policy=", "run=", "num_uavs="))]
+    flown, named = row.get("valleys"), any(each.startswith(("valleys=", "env.world.seeds=")) for each in keys)
+    if flown and not named and tuple(flown) != unseen_seeds(row.get("training_valleys", ())):
+        keys.insert(0, f"valleys=[{','.join(map(str, flown))}]")
     keys += ["guards=none"] if guarded and not _guards(row) else []
     keys += [f"episodes={row['episodes']}"]
     return keys
