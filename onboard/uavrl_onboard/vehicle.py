@@ -92,6 +92,9 @@ class Vehicle:
         return 1.0 / self.control_rate
 
 
+_AHEAD = 0.5  # m, seen beyond the place where a vehicle would stand
+
+
 def stopping_distance(speed: float) -> float:
     """Return how far a vehicle flies on until it stands, in m, from a speed in m/s.
 
@@ -100,6 +103,19 @@ def stopping_distance(speed: float) -> float:
         [0.97, 2.68, 5.13]
     """
     return speed**2 / (2 * DECELERATION) + REACTION * speed
+
+
+def sight_for(max_speed: object) -> float:
+    """Return how far the cells reach at a speed in m/s, in m: 4 (Table 4.1), or as far as a vehicle needs to stop.
+
+    Examples:
+        >>> [sight_for(speed) for speed in (2.0, 4.0, 5.0, 6.0)]
+        [4.0, 4.0, 5.0, 6.0]
+    """
+    if not isinstance(max_speed, int | float) or not 0 < max_speed < 100:
+        return 4.0  # env.max_speed is refused elsewhere
+    needed = stopping_distance(max_speed) + VEHICLE.radius + _AHEAD
+    return max(4.0, math.ceil(2 * needed) / 2)
 
 
 def lidar_place(position: object) -> Place:

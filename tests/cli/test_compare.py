@@ -89,6 +89,24 @@ def test_files_of_other_tasks_are_refused(recorded: dict[str, str], capsys: pyte
     assert "tasks of seed 20000, not 7: add seed=20000." in capsys.readouterr().err
 
 
+def test_files_of_other_worlds_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    about = {"seed": 20_000, "outcomes": "S" * 100, "env": "static"}
+    for name, overrides in (("dense", ["env=static", "env.world.obstacles=90"]), ("plain", ["randomize=none"])):
+        (tmp_path / f"{name}.json").write_text(json.dumps({**about, "overrides": overrides}))
+    (tmp_path / "mesh.json").write_text(json.dumps({**about, "env": "mesh", "overrides": ["env=mesh"]}))
+    dense, plain, mesh = (str(tmp_path / f"{name}.json") for name in ("dense", "plain", "mesh"))
+    assert in_process(main, dense, dense, "row=dense", "block=50") == 0
+    assert in_process(main, plain, plain, "row=held_out", "block=50") == 0
+    for file in (plain, mesh):
+        assert in_process(main, dense, file, "row=dense") == 1
+        assert "was not flown in the worlds of row=dense" in capsys.readouterr().err
+
+
+def test_another_lidar_is_no_other_world() -> None:
+    asked = CompareConfig("best", "vfh", row="static", tasks=9, seed=5)
+    assert "env.lidar=mid360" in compare_command._overrides("vfh env.lidar=mid360", asked)
+
+
 def test_a_side_may_have_keys_of_its_own() -> None:
     asked = CompareConfig("best", "vfh", row="static", tasks=9, seed=5)
     made = compare_command._overrides("vfh perception.radius=3", asked)

@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from uavrl.envs import NavigationEnv
-from uavrl.envs.privileged import QUANTITIES, level, nearest_planes
+from uavrl.envs.privileged import QUANTITIES, nearest_planes
 from uavrl.envs.traffic import Traffic
 from uavrl.envs.world import World, WorldConfig
 from uavrl.errors import UavrlError
+from uavrl_onboard.geometry import world_to_yaw
 
 WORLD = WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=4, planes=2, plane_keep_out=1)
 
@@ -24,7 +25,13 @@ def test_it_is_emitted_where_it_is_asked_for_alone() -> None:
         assert one[key].shape[-1] == len(quantity.signs)
     torch.testing.assert_close(one["wind"].norm(dim=-1), torch.full((1, 3), 3.0))
     yaw = one["attitude"][0, -1, 2].item()
-    np.testing.assert_allclose(one["wind"][0, -1], level(np.array([3.0, 0, 0]), np.array(yaw)), atol=1e-5)
+    np.testing.assert_allclose(one["wind"][0, -1], world_to_yaw(np.array([3.0, 0, 0]), yaw), atol=1e-5)
+    simulation, traffic = asked.simulation, asked.traffic
+    near = nearest_planes(simulation.position, simulation.yaw, traffic.positions, traffic.velocities())
+    assert np.abs(near).max() > 0.1
+    np.testing.assert_allclose(one["planes"][0, -1], near[0], atol=1e-5)
+    distance = float(simulation.closest_distance().item())
+    assert one["clearance"][0, -1].item() == pytest.approx(distance, abs=1e-5) and distance > 0
     asked.close(), plain.close()
 
 

@@ -189,3 +189,8 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(UavrlError, match=told):
             lidar_sensor({"directions": path})
+
+
+def test_a_sensor_of_ones_own_has_a_name_of_its_own() -> None:
+    with pytest.raises(UavrlError, match="The name vlp16 belongs to a LiDAR of uavrl: rename the file"):
+        lidar_sensor({"name": "vlp16", "elevations": [0], "azimuth_steps": 90})

@@ -118,6 +118,17 @@ def test_the_way_around_is_longer_and_narrower() -> None:
     assert meter.measure(np.array([-3.0, 4.5]), np.array([-3.0, 4.5])) is None
 
 
+def test_the_free_width_of_a_corridor_is_its_width() -> None:
+    """The middle of the vehicle may be in 15 cells of 0.25 m: 3.75 m, and its hull of 0.35 m on either side."""
+    (place,) = World(SCREEN).places
+    fits = np.zeros((40, 40), bool)
+    fits[:, 10:25] = True
+    meter = DifficultyMeter(replace(place, fits=fits, corner=np.array([-5.0, -5.0]), origin=np.zeros(2)))
+    found = meter.measure(np.array([-4.0, -5.0 + 17 * 0.25]), np.array([4.0, -5.0 + 17 * 0.25]))
+    assert found is not None and found.detour == 1.0
+    assert found.spacing == pytest.approx(4.45, abs=0.3)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

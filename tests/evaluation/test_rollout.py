@@ -224,6 +224,15 @@ class SlowedEnv(StubEnv):
         return super()._step(tensordict).set("flown_action", flown)
 
 
+@pytest.mark.parametrize(("limit", "change"), [(4.0, 3.0), (2.0, 2.0)])
+def test_actions_are_within_the_limit_of_the_environment(limit: float, change: float) -> None:
+    env = StubEnv([2], 1)
+    env.max_speed = limit
+    asked = iter([[0.0, 0.0, 0.0, 0.0], [3.0, 0.0, 0.0, 3.0]])
+    (flight,) = rollout_episodes(env, lambda state: state.set("action", torch.tensor([next(asked)])), 1)
+    assert flight.action_change == [change, 0.0, 0.0, 2.0], "the yaw rate has a limit of its own"
+
+
 def test_how_often_guards_change_the_velocity_and_by_how_much() -> None:
     """What is asked for beyond 2 m/s, and 0.04 m/s, are no changes by a guard."""
     asked = iter([[9.0, 0.0, 0.0, 0.0], [1.04, 0.0, 0.0, 0.0], [1.5, 0.0, 0.0, 1.0], [0.5, 0.0, 0.0, 0.0]])

@@ -19,7 +19,7 @@ from uavrl.envs import world as world_module
 from uavrl.envs.place import Place
 from uavrl.envs.rules import WorldRules
 from uavrl.errors import UavrlError
-from uavrl.evaluation.policies import PACKAGED, choose
+from uavrl.evaluation.policies import PACKAGED, choose, output_name
 from uavrl.evaluation.worlds import unseen_seeds, worlds_text
 from uavrl.runs.config import load_config
 from uavrl_onboard.values import to_plain
@@ -142,3 +142,20 @@ def test_outcomes_do_not_depend_on_which_valleys_are_built(tmp_path: Path, monke
     assert [(f["task"], f["outcome"], f["steps"], f["world_seed"]) for f in few] == [
         (f["task"], f["outcome"], f["steps"], f["world_seed"]) for f in more
     ]
+
+
+def test_worlds_of_another_kind_are_not_those_of_the_training() -> None:
+    overrides = ["policy=best", "env=forest"]
+    config = compose(*overrides, name="evaluate")
+    setup = choose(validate(config, EvaluateConfig), config, overrides, PACKAGED / "best", torch.device("cpu"))
+    assert "training_valleys" not in setup.source
+    overrides.append("valleys=training")
+    config = compose(*overrides, name="evaluate")
+    with pytest.raises(UavrlError, match="env=forest is of another kind: leave valleys out"):
+        choose(validate(config, EvaluateConfig), config, overrides, PACKAGED / "best", torch.device("cpu"))
+
+
+def test_a_long_name_of_a_result_is_cut_and_still_its_own() -> None:
+    one, other = (output_name("evaluation", [f"env.world.file={'a' * 300}{end}"]) for end in "xy")
+    assert one != other and len(one) < 140
+    assert output_name("evaluation", ["env=static"]) == "evaluation_env=static"

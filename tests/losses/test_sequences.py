@@ -11,6 +11,8 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor
 from torchrl.data import Bounded
 
+from tests.helpers import torchrl_losses
+from uavrl.errors import UavrlError
 from uavrl.losses import ActionRate, ActorCriticLoss, Imitation, LifeGuard, SACLoss, SequenceLoss, TD3Loss
 from uavrl.models import Actor, Critic, GaussianActor, GRUMemory
 from uavrl.models.memory import CRITIC_MEMORY, MEMORY
@@ -89,6 +91,30 @@ def test_the_values_are_those_of_the_states_with_what_is_remembered_in_them() ->
             target = step["next", "reward"] + 0.99 * torch.minimum(*targets)
             total = total + step["priority_weight"] * sum((value - target).square().sum() for value in values)
     torch.testing.assert_close(loss.value_loss(batch)[0], total / WINDOWS)
+
+
+def test_the_actor_is_judged_by_the_critic_with_what_the_critic_remembers() -> None:
+    """TD3's actor loss, written out step by step."""
+    loss, batch = loss_of("td3"), windows()
+    base, total = loss.unwrapped, torch.zeros(())
+    for row in range(WINDOWS):
+        for place in range(LENGTH):
+            step = batch["steps"][row, place]
+            seen = batch["seen"][row : row + 1, : int(step["now"]) + 1]
+            remembered = loss.actor_memory.unroll(seen)[0, -1], loss.critic_memory.unroll(seen)[0, -1]
+            with base.actor_network_params.to_module(base.actor_network):  # type: ignore[union-attr]
+                action = base.actor_network.module(torch.cat([remembered[0], step["observation"]]))  # type: ignore[union-attr, operator]
+            with base.qvalue_network_params[0].to_module(base.qvalue_network):  # type: ignore[union-attr]
+                value = base.qvalue_network.module(remembered[1], step["observation"], action)  # type: ignore[union-attr, operator]
+            total = total - step["priority_weight"] * value.squeeze()
+    torch.testing.assert_close(loss.actor_loss(batch)[0], total / WINDOWS)
+
+
+def test_a_loss_of_torchrl_is_refused_in_a_sentence() -> None:
+    own = loss_of("td3")
+    theirs = torchrl_losses.BASES["td3"]()
+    with pytest.raises(UavrlError, match=r"takes uavrl's TD3Loss or SACLoss, .* got a torchrl\.TD3Loss"):
+        SequenceLoss(theirs, own.actor_memory, own.critic_memory)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", BASES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -137,6 +138,21 @@ def test_with_headway_a_gap_bounds_the_speed_towards_it_and_free_air_bounds_noth
     assert forward(1.2) == pytest.approx(0.73 / 0.7, abs=0.05)
     assert forward(1.2, last=1.0, last_action=True) == pytest.approx(0.13 / 0.7, abs=0.1)
     assert forward(0.4) == pytest.approx(0.0, abs=1e-5)
+
+
+def test_headway_at_speed_begins_far_enough_ahead_and_gently() -> None:
+    """A wall comes nearer to a vehicle at 3.4 m/s: the forward command falls, and never by leaps."""
+    directions = REDUCTIONS["range_image"].directions()
+    ahead = (directions[:, 0] > 0.9).float()
+    costs = dataclasses.replace(COSTS["range_image", "proximity"], obstacle=0.0, caution=0.0, headway=0.7)
+    rule = VectorFieldHistogram(radius=6.0, reduction="range_image", costs=costs, last_action=True, max_speed=6.0)
+    commands = []
+    for step in range(48):
+        state = {"faces": ((0.2 + 0.1 * step) * ahead)[None], "heading_deg": torch.zeros(1, 1)}
+        state |= {"altitude": torch.full((1, 1), 3.5), "observation": torch.tensor([[3.4 / 6, 0.0, 0.0, 0.0]])}
+        commands.append(float(rule(TensorDict(state, [1]))["action"][0, 0]))
+    assert commands[0] > 3.0 and commands[-1] < 0.5
+    assert max(abs(after - before) for before, after in pairwise(commands)) < 0.5
 
 
 def test_headway_needs_distances() -> None:

@@ -1,4 +1,4 @@
-"""Windows of whole episodes from a replay buffer, for networks with a memory."""
+"""Windows of whole episodes from an :class:`~uavrl.buffers.EpisodeBuffer`, for networks with a memory."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from uavrl.buffers.replay import EpisodeBuffer
+from uavrl.errors import UavrlError
 
 EPISODE = "episode"  # the key of an episode's number and a step's number in it, by which steps are found in a buffer
 WEIGHT = "priority_weight"  # the losses' key of a step's weight
@@ -80,6 +81,8 @@ class Windows:
             ``seen`` and with their weights. A window that an episode's end cuts short repeats transitions that weigh
             nothing, and the others weigh more: a step at an end lies in fewer windows.
         """
+        if not isinstance(buffer, EpisodeBuffer):
+            raise UavrlError(f"Windows draws from an EpisodeBuffer of uavrl, got a {type(buffer).__name__}.")
         episodes = buffer.storage.column(EPISODE)
         anchor = torch.randint(len(episodes), (count,))
         first = anchor - torch.randint(self.length, (count,))

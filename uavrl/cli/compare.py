@@ -176,18 +176,30 @@ def _changes(row: str) -> list[str]:
     return scenarios([row])[row]
 
 
+def _world(overrides: Sequence[str]) -> set[str]:
+    """Those of some overrides that say in what kind of world was flown; valleys are chosen apart from it."""
+    told = {each.lstrip("+") for each in overrides} - {"randomize=none"}
+    return {each for each in told if each.partition("=")[0] in ("env", "randomize") or each.startswith("env.world.")}
+
+
 def _recorded(file: Path, settings: CompareConfig) -> str:
     """The outcomes that ``uavrl-evaluate`` wrote, in a file of one scenario or of the suite."""
     try:
         result = json.loads(file.read_text(encoding="utf-8"))
         result = result.get(settings.row, result)
         outcomes, seed = outcomes_of(result), result.get("seed", settings.seed)
+        flown = _world(result.get("overrides") or []) | ({f"env={result['env']}"} if result.get("env") else set())
     except OSError as error:
         raise UavrlError(f"{file} cannot be read ({error.strerror}): give a file that uavrl-evaluate wrote.") from error
     except (ValueError, AttributeError, KeyError, TypeError):
-        outcomes, seed = None, settings.seed
+        outcomes, seed, flown = None, settings.seed, set()
     if not isinstance(outcomes, str) or not outcomes or set(outcomes) - set(LETTERS.values()):
         raise UavrlError(f"{file} holds no outcomes of {settings.row}: give a file that uavrl-evaluate wrote.")
+    if (asked := _world(_changes(settings.row))) != flown and flown:
+        other = ", ".join(sorted(flown ^ asked))
+        raise UavrlError(
+            f"{file} was not flown in the worlds of row={settings.row}, which differ by {other}: choose its row."
+        )
     if seed != settings.seed:
         raise UavrlError(f"{file} holds tasks of seed {seed}, not {settings.seed}: add seed={seed}.")
     return outcomes

@@ -15,6 +15,7 @@ from uavrl.cli.command import command, given_overrides
 from uavrl.config import validate
 from uavrl.config.parts import Part
 from uavrl.config.settings import Valleys
+from uavrl.envs.sensors import SENSORS
 from uavrl.errors import Stopped, UavrlError
 from uavrl.sitl.faults import Faults
 from uavrl.sitl.simulated_autopilot import FirmwareName
@@ -63,10 +64,9 @@ class SitlConfig:
         require("world" in self.env, "env", "a valley", self.choices.get("env"))
         sensor = "one that reads a LiDAR, such as truncated_icosahedron: its perception.lidar is the vehicle's sensor"
         require(self.perception.get("_target_") is not None, "perception", sensor, self.choices.get("perception"))
-        name = self.perception.lidar.device.name
-        if name != "vlp16":
+        if (device := self.perception.lidar.device) != SENSORS["vlp16"]:
             raise UavrlError(
-                f"uavrl-sitl sends the data packets of a Velodyne VLP-16, and env.lidar={name} has none: leave "
+                f"uavrl-sitl sends the data packets of a Velodyne VLP-16, and the LiDAR {device.name} has none: leave "
                 "env.lidar out."
             )
 

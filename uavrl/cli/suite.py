@@ -74,6 +74,8 @@ def refuse_worlds(overrides: Sequence[str], chooser: str) -> None:
     """Refuse overrides that change the worlds which the key ``chooser`` of a command has chosen."""
     for override in overrides:
         name = override.lstrip("+~").split("=")[0]
+        if name == "env.lidar":  # of the vehicle
+            continue
         if name in ("valleys", "env", "randomize") or name.startswith(("env.", "randomize.")):
             raise UavrlError(f"{chooser} chooses the worlds, so {override!r} contradicts it: leave one of them out.")
 

@@ -1,6 +1,5 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,9 +10,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from uavrl.config.command_line import readable
 from uavrl.errors import UavrlError, extras
 from uavrl_onboard.guards.command_line import join_guards
-from uavrl_onboard.vehicle import VEHICLE, stopping_distance
+from uavrl_onboard.vehicle import sight_for
 
-_AHEAD = 0.5  # m, seen beyond the place where a vehicle would stand
 NONE = "none"  # the choice that leaves a part out
 
 
@@ -24,19 +22,6 @@ def conf_dir() -> Path:
         if (candidate / "config.yaml").is_file():
             return candidate
     raise UavrlError(f"Expected the yaml files in {package / 'conf'} and found none: install uavrl again.")
-
-
-def sight_for(max_speed: Any) -> float:
-    """Return how far the cells reach at a speed in m/s, in m: 4 (Table 4.1), or as far as a vehicle needs to stop.
-
-    Examples:
-        >>> [sight_for(speed) for speed in (2.0, 4.0, 5.0, 6.0)]
-        [4.0, 4.0, 5.0, 6.0]
-    """
-    if not isinstance(max_speed, int | float) or not 0 < max_speed < 100:
-        return 4.0  # env.max_speed is refused elsewhere
-    needed = stopping_distance(max_speed) + VEHICLE.radius + _AHEAD
-    return max(4.0, math.ceil(2 * needed) / 2)
 
 
 def register_resolvers() -> None:

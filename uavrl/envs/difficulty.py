@@ -61,7 +61,7 @@ class DifficultyMeter:
         """
         cells = [self._cell(start), self._cell(goal)]
         (dx, dy) = np.abs(cells[0] - cells[1]) * CELL
-        straight = max(dx, dy) + (2**0.5 - 1) * min(dx, dy)
+        straight = float(max(dx, dy) + (2**0.5 - 1) * min(dx, dy))
         first, last = (int(np.ravel_multi_index(tuple(cell), self._shape)) for cell in cells)
         length, before = dijkstra(self._graph, directed=False, indices=first, return_predecessors=True)
         if not np.isfinite(length[last]) or straight == 0:

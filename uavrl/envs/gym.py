@@ -1,5 +1,6 @@
 """The navigation task as a Gymnasium environment with pictures, for users of other RL libraries."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -9,16 +10,17 @@ from tensordict import TensorDictBase
 from torchrl.envs import Compose, TransformedEnv
 
 from uavrl.envs.camera import Camera
+from uavrl.envs.guarding import guarded
 from uavrl.envs.lidar import LidarConfig
-from uavrl.envs.limits import OrMapping, require_speed, whole
+from uavrl.envs.limits import OrMapping, require_speed, settings, whole
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.world import WorldLike, world_rules
 from uavrl.errors import UavrlError, extras
 from uavrl.transforms import NavigationReward, NavigationState, TraditionalReward
-from uavrl.transforms.guarded import GOAL_HEADING, Guarded
+from uavrl.transforms.guarded import GOAL_HEADING
 from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.perception.reductions import Reduction
-from uavrl_onboard.vehicle import VEHICLE
+from uavrl_onboard.vehicle import VEHICLE, sight_for
 
 with extras():
     import gymnasium
@@ -42,7 +44,7 @@ class ValleyFlights:
         num_envs: int,
         reward: Literal["navigation", "traditional"] = "navigation",
         *,
-        radius: float = 4.0,
+        radius: float | None = None,
         frames: int = 3,
         reduction: Reduction = "truncated_icosahedron",
         last_action: bool = False,
@@ -62,24 +64,26 @@ class ValleyFlights:
             )
         self.render_mode = render_mode
         valley = world_rules(world)
+        max_speed = require_speed(kwargs.get("max_speed", VEHICLE.velocity_limit))
+        radius = sight_for(max_speed) if radius is None else radius
         state = NavigationState(
             radius,
             flight_level=valley.flight_level,
             frames=frames,
             reduction=reduction,
             last_action=last_action,
-            max_speed=require_speed(kwargs.get("max_speed", VEHICLE.velocity_limit)),
+            max_speed=max_speed,
         )
-        lidar = LidarConfig(max_range=radius, far_range=chosen.sight) if lidar is None else lidar
+        asked = {"max_range": radius, **lidar} if isinstance(lidar, Mapping) else lidar
+        lidar = settings("lidar", LidarConfig, LidarConfig(max_range=radius) if asked is None else asked)
+        if lidar.far_range is None:
+            lidar = replace(lidar, far_range=chosen.sight)
         self.base = NavigationEnv(num_envs, world=valley, lidar=lidar, **kwargs)
         self.env = TransformedEnv(self.base, Compose())
         heading = {}
         if chosen.names:
-            vehicle = self.base.airframe.vehicle(valley.flight_level, self.base.max_speed)
-            view = self.base.lidar_sensor.field_of_view[2:]
-            vehicle = replace(vehicle, lidar_elevations=view)
-            self.env.append_transform(guarded := Guarded(chosen, vehicle=vehicle))
-            heading = {"heading": GOAL_HEADING} if guarded.leads and reward == "navigation" else {}
+            self.env.append_transform(guards_around := guarded(self.base, chosen))
+            heading = {"heading": GOAL_HEADING} if guards_around.leads and reward == "navigation" else {}
         self.env.append_transform(state)
         self.env.append_transform(_REWARDS[reward](**heading))
         width = self.env.observation_spec["observation"].shape[-1]
@@ -166,7 +170,7 @@ class ValleyEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Args:
         reward: ``"navigation"`` (Eq. 3.6) or ``"traditional"`` (Eq. 2.15).
-        radius: the ball's radius, m.
+        radius: how far the cells reach, m; None: 4 m, or farther where ``max_speed`` is above 4.4 m/s.
         frames: observations in a state.
         reduction, last_action: as in :class:`uavrl.transforms.NavigationState`.
         lidar: the sensor; by default its range is cut at the ball, which leaves the faces identical.

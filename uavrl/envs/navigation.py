@@ -66,7 +66,7 @@ class NavigationEnv(EnvBase):
     Args:
         num_uavs: number of vehicles N; the batch size is ``[N]``.
         world: where they fly, goals and planes: valleys, or any other world.
-        lidar: the sensor, its range and its noise; or only the name of a sensor.
+        lidar: the sensor, its range and its noise, for example ``{"sensor": "os0_32"}``.
         airframe: mass, inertia and limits of the vehicle.
         aerodynamics: drag, wind and gusts.
         randomize: what is drawn for the vehicle of each episode; None: nothing.
@@ -123,17 +123,17 @@ class NavigationEnv(EnvBase):
         if tasks is not None and not (np.iterable(tasks) and len(tasks)):
             raise UavrlError(f"tasks takes a list of one task or more, or None for any, got {tasks!r}.")
         self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
-        self._world_config = world_rules(world)
+        self.world_config = world_rules(world)
         self.airframe = settings("airframe", Airframe, airframe)
         self.aerodynamics = settings("aerodynamics", Aerodynamics, aerodynamics)
         drawn = settings("randomize", Randomization, randomize)
         self.randomize = drawn if drawn.is_on else None
         if self.randomize is not None:
             require_flyable(self.randomize, most_load(self.airframe))
-        rules, hull = self._world_config, self.airframe
+        rules, hull = self.world_config, self.airframe
         check_hull(hull.collision_radius, hull.collision_height, max(rules.min_clearance, rules.uav_radius))
-        self._lidar_config = settings("lidar", LidarConfig, lidar)
-        self.lidar_sensor = self._lidar_config.device
+        self.lidar_config = settings("lidar", LidarConfig, lidar)
+        self.lidar_sensor = self.lidar_config.device
         self.num_rays = self.lidar_sensor.num_rays
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None
@@ -180,7 +180,7 @@ class NavigationEnv(EnvBase):
             rng=gusts,
         )
         if self._lidar is None and not self.blind:
-            self._lidar = Lidar(meshes, mesh, self._lidar_config)
+            self._lidar = Lidar(meshes, mesh, self.lidar_config)
         self._next_task = 0
         self._stale = False
         if planes:
@@ -191,8 +191,8 @@ class NavigationEnv(EnvBase):
         """Places, goals and routes; built at the first use, which takes seconds."""
         needed = None
         if self._tasks is not None:
-            needed = {draw_place(self._world_config, self._task_rng(task)) for task in self._tasks}
-        return World(self._world_config, needed)
+            needed = {draw_place(self.world_config, self._task_rng(task)) for task in self._tasks}
+        return World(self.world_config, needed)
 
     @property
     def tasks_begun(self) -> int:
@@ -222,13 +222,13 @@ class NavigationEnv(EnvBase):
         """The place, among those that were built, of a task after the last one that counts; None: its own."""
         if self._tasks is None or task <= max(self._tasks):
             return None
-        drawn = draw_place(self._world_config, self._task_rng(task))
+        drawn = draw_place(self.world_config, self._task_rng(task))
         return None if drawn in self.world.built else drawn % len(self.world.places)
 
     def difficulty(self, tasks: Sequence[int]) -> list[Difficulty | None]:
         """How hard tasks of the current seed are, wherever planes would move their starts to.
 
-        It takes some milliseconds for each task.
+        It takes some milliseconds for each task in a valley, and a third of a second in a place of 200 by 200 m.
         """
         return measure_tasks(self.world, [self.world.sample_task(self._task_rng(task)) for task in tasks])
 
@@ -303,7 +303,7 @@ class NavigationEnv(EnvBase):
     @property
     def plane_mesh(self) -> Mesh:
         """The shape of a plane at the origin, x forward, in m; :meth:`plane_poses` says where each one is."""
-        return plane_mesh(self._world_config.plane_wingspan)
+        return plane_mesh(self.world_config.plane_wingspan)
 
     def look(self, rays: slice) -> np.ndarray:
         """What all vehicles see now by some rays: ``[N, R, 3]``, NaN for all other rays and for misses."""

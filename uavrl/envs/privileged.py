@@ -9,6 +9,7 @@ import numpy as np
 
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import Traffic
+from uavrl_onboard.geometry import world_to_yaw
 
 PLANES = 3  # the nearest ones
 SIGHT = 20.0  # m, beyond which a plane counts as absent
@@ -46,22 +47,10 @@ def privileged(names: Collection[str], simulation: Simulation, traffic: Traffic)
     if "clearance" in names:
         found["clearance"] = simulation.closest_distance()
     if "wind" in names:
-        found["wind"] = level(simulation.params.wind, simulation.yaw)
+        found["wind"] = world_to_yaw(simulation.params.wind, simulation.yaw)
     if "planes" in names:
         found["planes"] = nearest_planes(simulation.position, simulation.yaw, traffic.positions, traffic.velocities())
     return found
-
-
-def level(vectors: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Return vectors ``[N, 3]`` in world axes as vehicles with these yaws ``[N]`` have them: forward, left, up.
-
-    Examples:
-        >>> level(np.array([[0.0, 2.0, 1.0]]), np.array([np.pi / 2])).round(6).tolist()
-        [[2.0, 0.0, 1.0]]
-    """
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
 
 
 def nearest_planes(position: np.ndarray, yaw: np.ndarray, planes: np.ndarray, velocities: np.ndarray) -> np.ndarray:
@@ -78,7 +67,7 @@ def nearest_planes(position: np.ndarray, yaw: np.ndarray, planes: np.ndarray, ve
     for rank, plane in enumerate(np.argsort(far, axis=1)[:, :PLANES].T):
         rows = np.arange(len(position))
         distance = far[rows, plane][:, None]
-        direction = level(offsets[rows, plane], yaw) / np.maximum(distance, 1e-9)
-        there = np.concatenate([direction * (1 - distance / SIGHT), level(velocities[plane], yaw) / FASTEST], -1)
+        direction = world_to_yaw(offsets[rows, plane], yaw) / np.maximum(distance, 1e-9)
+        there = np.concatenate([direction * (1 - distance / SIGHT), world_to_yaw(velocities[plane], yaw) / FASTEST], -1)
         told[:, rank] = np.where(distance < SIGHT, there, 0.0)
     return told.reshape(len(position), -1)

@@ -237,6 +237,10 @@ def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
         if key in ("name", "directions") and not isinstance(value, str):
             raise UavrlError(f"The LiDAR's {key} must be a text, got {value!r}.")
         values[key] = tuple(value) if isinstance(value, list | tuple) else value
+    if values.get("name") in SENSORS:
+        raise UavrlError(
+            f"The name {values['name']} belongs to a LiDAR of uavrl: rename the file, or set another name in it."
+        )
     return LidarSensor(**values)
 
 

@@ -10,14 +10,13 @@ from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, TensorDictPri
 
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
-from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.guarding import guarded
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.privileged import QUANTITIES
-from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import UavrlError
 from uavrl.models.memory import RECURRENT_STATE
 from uavrl.transforms import PointCloudReduction
-from uavrl.transforms.guarded import GOAL_HEADING, Guarded
+from uavrl.transforms.guarded import GOAL_HEADING
 from uavrl.transforms.privileged import PRIVILEGED, Privileged
 from uavrl_onboard.guards.settings import GuardSettings
 
@@ -89,7 +88,7 @@ def make_env(
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
     if guards is not None and guards.names:
-        reward = _guard(made, env, perception, reward, guards, packages)
+        reward = _guard(made, reward, guards, packages)
     position = getattr(env.get("airframe"), "lidar_position", None)  # somebody else's airframe may have none
     mounted = {} if position is None else {"sensor_position": position}
     state = build(perception, Transform, packages=packages, **mounted)
@@ -115,8 +114,6 @@ def make_env(
 
 def _guard(
     made: TransformedEnv,
-    env: Mapping[str, Any],
-    perception: Mapping[str, Any],
     reward: Mapping[str, Any] | None,
     guards: GuardSettings,
     packages: Iterable[str],
@@ -126,15 +123,9 @@ def _guard(
         raise UavrlError(
             f"Guards read the scans of a valley, and {type(made.base_env).__name__} is none: choose guards=none."
         )
-    if guards.shield is not None and guards.shield.nearest is None:
-        nearest = float(getattr(perception.get("lidar"), "nearest", 0.0))
-        guards = replace(guards, shield=replace(guards.shield, nearest=nearest))
-    vehicle = (env.get("airframe") or Airframe()).vehicle(env["world"].flight_level, made.base_env.max_speed)
-    if isinstance(lidar := perception.get("lidar"), LidarConfig):
-        vehicle = replace(vehicle, lidar_elevations=lidar.device.field_of_view[2:])
-    guarded = Guarded(guards, vehicle=vehicle)
-    made.append_transform(guarded)
-    if reward is None or reward[TARGET] is None or not guarded.leads:
+    around = guarded(made.base_env, guards)
+    made.append_transform(around)
+    if reward is None or reward[TARGET] is None or not around.leads:
         return reward
     taken = arguments(find_class(str(reward[TARGET]), Transform, packages))
     return {"heading": GOAL_HEADING, **reward} if "heading" in taken else reward
@@ -153,15 +144,13 @@ def with_sight(perception: Mapping[str, Any], guards: GuardSettings | None = Non
     if lidar is None or not ranges:  # nothing looks far, or somebody else's perception
         return perception
     key, farthest = max(ranges.items(), key=lambda item: item[1])
-    if lidar.far_range is None:
-        return {**perception, "lidar": replace(lidar, far_range=farthest)}
-    reach = max(lidar.max_range, lidar.far_range)
-    if farthest > reach:
+    scanning = replace(lidar, far_range=farthest) if lidar.far_range is None else lidar
+    if farthest > scanning.farthest:
         raise UavrlError(
-            f"{key}={farthest:g} looks farther than the LiDAR, which reaches {reach:g} m: leave "
-            f"perception.lidar.far_range out, or lower {key}."
+            f"{key}={farthest:g} looks farther than the LiDAR {lidar.device.name}, which reaches "
+            f"{scanning.farthest:g} m: leave perception.lidar.far_range out, choose another env.lidar, or lower {key}."
         )
-    return perception
+    return perception if scanning is lidar else {**perception, "lidar": scanning}
 
 
 def require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:

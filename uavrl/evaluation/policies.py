@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -22,6 +23,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.evaluation.worlds import TRAINING, UNSEEN, unseen_seeds, without_variety
 from uavrl.runs.labels import label
+from uavrl.runs.names import LONGEST_NAME
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.policy.contract import CONTRACT, read_contract
@@ -102,8 +104,8 @@ def choose(
         run = validate(changed)
         chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, dict(policy.source), run)
         chosen.source["label"] = f"{label(run.choices)}, seed {run.seed}"
-        trained = policy.config.env.get("world")
-        if trained is not None and "world" in chosen.env:
+        trained, flown = policy.config.env.get("world"), changed.env.get("world")
+        if trained is not None and flown is not None and trained.get(TARGET) == flown.get(TARGET):
             chosen.source["training_valleys"] = list(trained.seeds)
     chosen = _in_view(chosen, settings, policy)
     _choose_valleys(chosen, settings, keys_of(overrides))
@@ -112,6 +114,12 @@ def choose(
 
 def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collection[str]) -> None:
     """Puts the valleys that the command line asks for into the environment, or else those that no training used."""
+    foreign = chosen.run is not None and "training_valleys" not in chosen.source
+    if settings.valleys == TRAINING and foreign and "world" in chosen.env and chosen.env.world.VARIES:
+        raise UavrlError(
+            f"valleys=training asks for the worlds of the training, and env={chosen.choices.get('env')} is of another "
+            "kind: leave valleys out, or give a list of seeds."
+        )
     if settings.valleys == TRAINING or (settings.valleys == UNSEEN and "env.world.seeds" in given):
         return
     if settings.valleys != UNSEEN:
@@ -217,7 +225,10 @@ def result_overrides(overrides: Sequence[str], plain: Collection[str] = PLAIN_KE
 def output_name(stem: str, overrides: Sequence[str]) -> str:
     """A file name without suffix in which the overrides stand."""
     told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
-    return "_".join([stem, *told])
+    name = "_".join([stem, *told])
+    if len(name) <= LONGEST_NAME:
+        return name
+    return f"{name[:LONGEST_NAME]}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
 def packaged_policies() -> list[str]:

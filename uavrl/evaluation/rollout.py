@@ -75,7 +75,7 @@ class EpisodeMeter:
     """Follows each of ``count`` vehicles from reset to done."""
 
     def __init__(self, count: int, max_speed: float = VEHICLE.velocity_limit) -> None:
-        self._limits = np.array([max_speed] * 3 + [VEHICLE.yaw_rate_limit])
+        self._max_speed = max_speed
         self._steps = np.zeros(count, dtype=int)
         self._return, self._flown = np.zeros(count), np.zeros(count)
         self._start, self._clearance = np.zeros((count, 3)), np.full(count, np.inf)
@@ -120,10 +120,12 @@ class EpisodeMeter:
         if last.get("clearance", None) is None:
             paid = float(last.get("episode_reward", self._return[i]))
             return replace(result, episode_return=paid, action_change=action_change(actions))
-        actions = actions.clip(-self._limits, self._limits)  # as the vehicle takes them
+        limits = np.full(actions.shape[-1], VEHICLE.yaw_rate_limit)
+        limits[:3] = self._max_speed
+        actions = actions.clip(-limits, limits)  # as the vehicle takes them
         share, change = None, None
         if self._asked[i]:
-            asked = np.stack(self._asked[i]).clip(-self._limits, self._limits)
+            asked = np.stack(self._asked[i]).clip(-limits, limits)
             share, change = interventions(asked[:, :3], actions[:, :3])
         return replace(
             result,

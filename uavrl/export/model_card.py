@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from uavrl.errors import UavrlError
 from uavrl.evaluation.worlds import unseen_seeds
 from uavrl.runs.config import read_config
-from uavrl.runs.episodes import RATES, rate_cell
+from uavrl.runs.episodes import RATES, SAID, rate_cell
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.files import replacing
 from uavrl_onboard.pluralize import pluralize
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 CARD, STATEMENTS = "README.md", "card.yaml"
 PIPELINE = "reinforcement-learning"  # what model hubs call the task
 SAME = ("checkpoint", "training_steps")  # by which an evaluation belongs to a policy
-METRICS = {"success": "success rate", "collision": "collision rate", "time_out": "time-out rate"}
+METRICS = {name: f"{SAID[outcome]} rate" for name, outcome in RATES.items()}
 _UNDECLARED = (
     "The author has not chosen a license. Add `license: NAME` to the metadata above before you share the policy."
 )

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
-from uavrl.envs.sensors import SENSORS
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
 from uavrl.transforms.guarded import FLOWN
@@ -75,8 +74,8 @@ class ExportedPolicy:
         perception |= {"last_action": terms.action_limit is not None, **({"blind": True} if terms.cloud.blind else {})}
         perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}
         name = "vlp16" if terms.cloud.lidar is None else terms.cloud.lidar.name
-        if name != "vlp16" and name in SENSORS:
-            perception["lidar.sensor"] = name  # an own sensor's rays are not in the contract
+        if name != "vlp16":
+            perception["lidar.sensor"] = name  # one of somebody's own is refused: its rays are not in the contract
         velocity_limit = terms.action.high[0]
         if velocity_limit != VEHICLE.velocity_limit:
             perception["max_speed"] = velocity_limit

@@ -8,6 +8,7 @@ import torch
 from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor, nn
 
+from uavrl.errors import UavrlError
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.models.memory import CRITIC_MEMORY, MEMORY, GRUMemory, frozen_copy, taken_at
 from uavrl.upstream import lerp
@@ -23,6 +24,9 @@ class SequenceLoss(ActorCriticLoss, nn.Module):
         loss: of the networks behind the memories, :class:`~uavrl.losses.TD3Loss` or :class:`~uavrl.losses.SACLoss`.
         actor_memory: of the policy.
         critic_memory: that all critics share.
+
+    Raises:
+        UavrlError: for another loss, such as TorchRL's own.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -43,6 +47,11 @@ class SequenceLoss(ActorCriticLoss, nn.Module):
     learns_from_sequences: ClassVar[bool] = True
 
     def __init__(self, loss: ActorCriticLoss, actor_memory: GRUMemory, critic_memory: GRUMemory) -> None:
+        if not isinstance(loss, ActorCriticLoss):
+            raise UavrlError(
+                f"SequenceLoss takes uavrl's TD3Loss or SACLoss, or an actor penalty around one, got a "
+                f"{type(loss).__module__.partition('.')[0]}.{type(loss).__name__}."
+            )
         nn.Module.__init__(self)
         self.loss, self.actor_memory, self.critic_memory = loss, actor_memory, critic_memory
         self.target_critic_memory = frozen_copy(critic_memory)

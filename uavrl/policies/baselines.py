@@ -15,7 +15,7 @@ from uavrl.transforms.state import REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evade import evade
-from uavrl_onboard.guards.shield import Shield
+from uavrl_onboard.guards.shield import Shield, closing_speeds, sight_at
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on
 from uavrl_onboard.perception.reductions import Reduction
@@ -33,7 +33,6 @@ SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 
 # Of a controller that keeps headway, as the shield:
 LAG = Shield.lag  # s until a commanded velocity is flown
 KEPT = VEHICLE.radius + Shield.margin  # m from the sensor to the hull, and a margin
-SIGHT = Shield.sight  # m, how far obstacles bound the speed
 CORRECTIONS = 10  # of a velocity, after which it is halved where it is still 0.1 m/s too fast
 
 
@@ -224,8 +223,9 @@ class VectorFieldHistogram(PolicyModule):
         if self.last_action:  # what is flown until the command acts
             flown = self.max_speed * tensordict["observation"][..., -4:-1]
             gap = gap - LAG * (flown @ self._towards.T).clamp_min(0)
-        seen = (tensordict["faces"] > 0) & (distance < SIGHT)
-        return torch.where(seen, gap.clamp_min(0) / self.costs.headway, math.inf)
+        seen = (tensordict["faces"] > 0) & (distance < sight_at(Shield.sight, self.max_speed))
+        speeds = call_numpy(closing_speeds, gap.clamp_min(0), self.costs.headway, self.max_speed)
+        return torch.where(seen, speeds, math.inf)
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Where moving objects are thought to be, and which there are, as ``uavrl_onboard.guards.evade.evade`` asks."""

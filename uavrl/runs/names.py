@@ -1,5 +1,7 @@
 """The names in a run folder."""
 
+LONGEST_NAME = 120  # characters that a file or folder is named by settings; a file system takes 255 bytes
+
 CONFIG = "config.yaml"  # the resolved configuration
 EPISODES = "episodes.csv"  # a row for each episode
 SUMMARY = "summary.json"  # what the run came to, once it has ended

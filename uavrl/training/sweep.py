@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from uavrl.errors import UavrlError
 from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, read_config
 from uavrl.runs.episodes import read_episodes
-from uavrl.runs.names import ANY_CHECKPOINT, CONFIG, EPISODES, SUMMARY
+from uavrl.runs.names import ANY_CHECKPOINT, CONFIG, EPISODES, LONGEST_NAME, SUMMARY
 from uavrl.training.run import reset_unstarted_run
 from uavrl_onboard.pluralize import pluralize
 
@@ -22,7 +22,6 @@ _NAMED = (
     *("env", "algo", "fork", "lifeguard", "actor_penalty", "smoothness", "cloning", "backward_reward", "reward"),
     *("learner", "reward_preset"),
 )
-_LONGEST_NAME = 120  # characters; a file system takes 255 bytes
 _SHOWN = 3  # differences that a sentence names
 
 
@@ -42,8 +41,8 @@ def run_folder(config: DictConfig, differences: Mapping[str, str]) -> Path:
     if "${seed}" not in written:  # also of one seed: more may follow
         told["seed"] = str(config.seed)
     name = combination_name(told)
-    if len(name) > _LONGEST_NAME:
-        name = f"{name[:_LONGEST_NAME]}_{fingerprint(config)[:6]}"
+    if len(name) > LONGEST_NAME:
+        name = f"{name[:LONGEST_NAME]}_{fingerprint(config)[:6]}"
     folder = str(Path(config.run_dir).expanduser())
     between = "/" if str(config.run_dir).endswith("/") else "_"
     run_dir = Path(f"{folder}{between}{name}" if name else folder)

@@ -126,6 +126,7 @@ class LastAction(Shown, Transform):
     A vehicle's last command says how it moves now. Join it to the observation by TorchRL's ``CatTensors``.
 
     Args:
+        limits: what the vehicle takes of each component at most; None: what was asked for.
         in_keys: key of the action.
         out_keys: where the last one goes.
 
@@ -140,11 +141,16 @@ class LastAction(Shown, Transform):
     """
 
     def __init__(
-        self, *, in_keys: Sequence[NestedKey] = ("action",), out_keys: Sequence[NestedKey] = ("last_action",)
+        self,
+        *,
+        limits: Sequence[float] | None = None,
+        in_keys: Sequence[NestedKey] = ("action",),
+        out_keys: Sequence[NestedKey] = ("last_action",),
     ) -> None:
         if len(in_keys) != 1 or len(out_keys) != 1:
             raise ValueError(f"LastAction takes one in_key and one out_key, got {list(in_keys)} and {list(out_keys)}.")
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
+        self.limits = None if limits is None else tuple(limits)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Stored transitions with the action beside the next observation."""
@@ -152,7 +158,11 @@ class LastAction(Shown, Transform):
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set(self.out_keys[0], entry(tensordict, self.in_keys[0], self))
+        action = entry(tensordict, self.in_keys[0], self)
+        if self.limits is not None:
+            most = action.new_tensor(self.limits)
+            action = torch.minimum(torch.maximum(action, -most), most)
+        return next_tensordict.set(self.out_keys[0], action)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         return tensordict_reset.set(self.out_keys[0], self._action_spec().zero())

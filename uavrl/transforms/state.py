@@ -56,7 +56,8 @@ def cell_directions(reduction: Reduction, grid: RangeGrid | None = None) -> Tens
 
 
 def _with_last_action(max_speed: float) -> Iterator[Transform]:
-    yield LastAction()
+    turn = VEHICLE.yaw_rate_limit  # which the vehicle takes, however fast it flies
+    yield LastAction(limits=(*(max_speed,) * 3, turn) if max_speed > turn else None)
     yield ObservationNorm(loc=0.0, scale=1.0 / max_speed, in_keys=["last_action"])
     yield CatTensors(["observation", "last_action"], "observation", del_keys=True, sort=False)
 

@@ -24,6 +24,7 @@ GROUND = ((-0.6, "#b3a77e"), (0.6, "#c9bd96"), (2.5, "#bfb598"), (7.5, "#e9e4d6"
 SKY, HAZE = "#9fc0dd", "#eef2f4"
 HAZE_FROM, HAZE_TO = 10.0, 80.0  # m: the distances at which things begin to fade, and have faded into the haze
 TEXEL, BIAS = 0.05, 0.18  # m: a cell of the map of shadows, and how far behind a lit surface a point is in shadow
+TEXELS = 4096  # along each side at most: in a large world the cells are larger
 EDGE = 0.04  # the relative step in distance between neighbouring pixels that is smoothed as an edge
 CHUNK = 16_384  # rays that are cast at a time
 SAMPLES = ((-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25))  # where the rays of a smoothed pixel pass
@@ -198,7 +199,8 @@ class _Shadows:
     def __init__(self, scene: EmbreeScene, mesh: Mesh) -> None:
         lowest, highest = mesh.vertices.min(0), mesh.vertices.max(0)
         middle, radius = (lowest + highest) / 2, float(np.linalg.norm(highest - lowest)) / 2
-        self._view, count = View(middle + radius * SUN, middle, width=2 * radius), int(2 * radius / TEXEL)
+        self._view, count = View(middle + radius * SUN, middle, width=2 * radius), min(int(2 * radius / TEXEL), TEXELS)
+        self._bias = BIAS * max(2 * radius / count / TEXEL, 1.0)
         self._size = (count, count)
         self._ends = np.empty(self._size, np.float32)
         for row in range(count):  # all rays at once would take a hundred megabytes
@@ -212,7 +214,7 @@ class _Shadows:
         lit = np.zeros(len(points), np.float32)
         for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
             ends = self._ends[np.clip(row + dy, 0, count - 1), np.clip(column + dx, 0, count - 1)]
-            lit += distances < ends + BIAS
+            lit += distances < ends + self._bias
         return lit / 4
 
 

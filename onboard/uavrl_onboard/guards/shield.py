@@ -116,26 +116,12 @@ class Shield:
         towards, gaps = steepest / slopes[:, None], (distances - kept) / slopes
         gaps -= self.lag * (towards @ velocity).clip(min=0.0)
         chosen = _nearest_of_each_direction(towards, gaps)
-        return towards[chosen], self._closing(gaps[chosen].clip(min=0.0))
-
-    @property
-    def _is_fast(self) -> bool:
-        return self.vehicle.velocity_limit > VEHICLE.velocity_limit
-
-    def _closing(self, gaps: np.ndarray) -> np.ndarray:
-        """How fast gaps in m may be closed, m/s; by a fast vehicle only so that it can brake as it tilts."""
-        if not self._is_fast:
-            return np.asarray(gaps / self.time)
-        fastest = DECELERATION * self.time  # with gap / time the vehicle brakes by speed / time
-        beyond = (gaps - fastest * self.time).clip(min=0.0)
-        return np.where(beyond > 0, np.sqrt(fastest**2 + 2 * DECELERATION * beyond), gaps / self.time)
+        return towards[chosen], closing_speeds(gaps[chosen].clip(min=0.0), self.time, self.vehicle.velocity_limit)
 
     def _points(self, cloud: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
         """The returns within sight and outside the hull, from its middle, in level axes: ``[M, 3]`` in m."""
         level = body_to_level(np.array([[*tilt, 0.0]]))[0]
-        sight = self.sight
-        if self._is_fast:  # it brakes earlier
-            sight += stopping_distance(self.vehicle.velocity_limit)
+        sight = sight_at(self.sight, self.vehicle.velocity_limit)
         points = np.asarray(cloud[is_return(cloud, within(sight))], float)
         points = points + np.array([0.0, 0.0, self.vehicle.lidar_above])
         return np.asarray(points[~is_inside(points, self.vehicle.hull)] @ level.T)
@@ -158,6 +144,32 @@ class Shields(Shield):
             for one, wanted in enumerate(velocities)
         ]
         return np.array(allowed).reshape(-1, 3)
+
+
+def closing_speeds(gaps: np.ndarray, time: float, limit: float) -> np.ndarray:
+    """How fast gaps ``[*B]`` in m may be closed, m/s: within ``time`` s, or so that a fast vehicle can brake.
+
+    Args:
+        gaps: 0 or more.
+        time: in which a gap may be closed at the earliest, s.
+        limit: of each component of the velocity, m/s; above 2 m/s the vehicle must be able to brake as it tilts.
+
+    Examples:
+        >>> closing_speeds(np.array([0.7, 7.0]), 0.7, 2.0).round(2).tolist()
+        [1.0, 10.0]
+        >>> closing_speeds(np.array([0.7, 7.0]), 0.7, 6.0).round(2).tolist()
+        [1.0, 7.83]
+    """
+    if limit <= VEHICLE.velocity_limit:
+        return np.asarray(gaps / time)
+    fastest = DECELERATION * time  # with gap / time the vehicle brakes by speed / time
+    beyond = (gaps - fastest * time).clip(min=0.0)
+    return np.where(beyond > 0, np.sqrt(fastest**2 + 2 * DECELERATION * beyond), gaps / time)
+
+
+def sight_at(sight: float, limit: float) -> float:
+    """How far points bound the speed of a vehicle with a velocity ``limit`` in m/s, m: a fast one brakes earlier."""
+    return sight if limit <= VEHICLE.velocity_limit else sight + stopping_distance(limit)
 
 
 def _nearest_of_each_direction(towards: np.ndarray, gaps: np.ndarray) -> np.ndarray:

@@ -1,0 +1,39 @@
+"""Guards around a simulated vehicle: they know its hull and limits, and what its LiDAR sees."""
+
+from dataclasses import replace
+
+from uavrl.envs.navigation import NavigationEnv
+from uavrl.errors import UavrlError
+from uavrl.transforms.guarded import Guarded
+from uavrl_onboard.guards.settings import GuardSettings
+
+
+def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
+    """Return the transform that puts guards around an environment.
+
+    Args:
+        base: with the vehicle and the LiDAR that the guards assume.
+        guards: which are on. A shield's ``nearest`` of None becomes the LiDAR's.
+
+    Raises:
+        UavrlError: if a guard looks farther than the LiDAR reaches: what is not scanned would seem to be free.
+
+    Examples:
+        >>> from uavrl.envs.lidar import LidarConfig
+        >>> from uavrl_onboard.guards.settings import guard_settings
+        >>> base = NavigationEnv(1, lidar=LidarConfig(max_range=4.0, min_range=0.9))
+        >>> guarded(base, guard_settings("shield")).guards.shield.nearest
+        0.9
+    """
+    lidar = base.lidar_config
+    for name in ("map", "evasion"):
+        sight = 0.0 if (guard := getattr(guards, name)) is None else guard.sight
+        if sight > lidar.farthest:
+            raise UavrlError(
+                f"guards.{name}.sight={sight:g} looks farther than the LiDAR, which reaches {lidar.farthest:g} m: "
+                f"raise the LiDAR's far_range or choose another LiDAR, or lower guards.{name}.sight."
+            )
+    if guards.shield is not None and guards.shield.nearest is None:
+        guards = replace(guards, shield=replace(guards.shield, nearest=lidar.nearest))
+    vehicle = base.airframe.vehicle(base.world_config.flight_level, base.max_speed)
+    return Guarded(guards, vehicle=replace(vehicle, lidar_elevations=lidar.device.field_of_view[2:]))
