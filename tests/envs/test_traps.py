@@ -120,6 +120,19 @@ def test_a_pocket_catches_what_comes_in_by_its_mouth_alone() -> None:
     assert np.diag(trap.catches(starts, goals)).tolist() == [True, False, False, False, True]
 
 
+def test_valleys_take_numbers_of_traps_in_turn() -> None:
+    mixed = World(WorldConfig(seeds=(200, 201), obstacles=[20, 12], traps=[0, 3]))  # type: ignore[arg-type]
+    assert [len(place.traps) for place in mixed.places] == [0, 3]
+    assert not mixed.places[0].trapped and mixed.places[1].trapped
+    alone = World(WorldConfig(seeds=(201,), obstacles=12, traps=3)).places[0]
+    for one, other in zip(mixed.places[1].obstacles, alone.obstacles, strict=True):
+        np.testing.assert_array_equal(one.mesh.vertices, other.mesh.vertices)
+    with pytest.raises(ValueError, match="traps takes a number, or a list that the valleys take in turn"):
+        WorldConfig(traps=())
+    with pytest.raises(ValueError, match="planes have no lanes between traps"):
+        WorldConfig(traps=(0, 1), planes=1)
+
+
 def test_too_many_traps_are_refused() -> None:
     with pytest.raises(UavrlError, match="lower traps or enlarge size"):
         World(WorldConfig(size=(14.0, 12.0), obstacles=0, traps=1, min_goal_distance=4.0))

@@ -103,3 +103,23 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(overrides: list[str]
         learner(*overrides)
     assert str(caught.value).startswith(said) or said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_demonstrator_may_read_what_the_policy_never_does() -> None:
+    told = ["demonstrator=vfh_privileged", "perception=range_image", "perception.last_action=true"]
+    env = make_training_env(settings_of(*told), seed=0)
+    flown = env.rollout(3, policy=env.rand_action, break_when_any_done=False)
+    sizes = network_sizes(env)
+    assert {"way", "planes", "demonstrator_action"} <= set(flown["next"].keys())
+    assert flown["observation"].shape[-1] == sizes.state and sizes.privileged == 0
+    plain = make_training_env(settings_of(*told[1:], "demonstrator=vfh"), seed=0)
+    assert network_sizes(plain) == sizes and "way" not in plain.reset()
+    env.close(), plain.close()
+
+
+def test_critics_and_the_demonstrator_may_read_different_quantities() -> None:
+    told = ["demonstrator=vfh_privileged", "perception=range_image", "perception.last_action=true"]
+    env = make_training_env(settings_of(*told, "algo.critic_reads=[wind,way]"), seed=0)
+    first = env.reset()
+    torch.testing.assert_close(first["privileged"], torch.cat([first["wind"] / 5, first["way"]], -1))
+    env.close()

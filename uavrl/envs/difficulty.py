@@ -4,13 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
-from scipy.sparse.csgraph import dijkstra
 
+from uavrl.envs.level_map import LevelMap
 from uavrl.envs.place import Place
 from uavrl.envs.tasks import CELL, Task
 from uavrl.envs.world import World
-from uavrl_onboard.guards.map.grid import Slices, grid_graph
 
 WIDEST = 10.0  # m, largest width that is told apart
 
@@ -40,14 +38,7 @@ class DifficultyMeter:
     """
 
     def __init__(self, place: Place) -> None:
-        def weighed(here: Slices, there: Slices, apart: float) -> tuple[np.ndarray, np.ndarray]:
-            both = place.fits[here] & place.fits[there]
-            return both, np.full(both.shape, CELL * apart)
-
-        self._graph = grid_graph(place.fits.shape, weighed)[0].tocsr()
-        free = CELL * distance_transform_edt(np.pad(place.fits, 1, mode="edge"))[1:-1, 1:-1]
-        self._width = (2 * (free + place.config.uav_radius)).clip(max=WIDEST)
-        self._shape, self._first = place.fits.shape, place.origin + place.corner
+        self._map = LevelMap(place)
 
     def measure(self, start: np.ndarray, goal: np.ndarray) -> Difficulty | None:
         """Measures one task.
@@ -59,22 +50,18 @@ class DifficultyMeter:
         Returns:
             None where no way at the flight level joins them.
         """
-        cells = [self._cell(start), self._cell(goal)]
+        cells = self._map.cell(start), self._map.cell(goal)
         (dx, dy) = np.abs(cells[0] - cells[1]) * CELL
         straight = float(max(dx, dy) + (2**0.5 - 1) * min(dx, dy))
-        first, last = (int(np.ravel_multi_index(tuple(cell), self._shape)) for cell in cells)
-        length, before = dijkstra(self._graph, directed=False, indices=first, return_predecessors=True)
-        if not np.isfinite(length[last]) or straight == 0:
+        ways = self._map.ways_to(cells[1])
+        length = float(ways.lengths[self._map.number(cells[0])])
+        if not np.isfinite(length) or straight == 0:
             return None
-        way = [last]
-        while way[-1] != first:
-            way.append(int(before[way[-1]]))
-        x, y = np.unravel_index(way, self._shape)
-        return Difficulty(float(self._width[x, y].mean()), max(1.0, float(length[last]) / straight))
-
-    def _cell(self, place: np.ndarray) -> np.ndarray:
-        cell = np.rint((place[:2] - self._first) / CELL).astype(int)
-        return np.clip(cell, 0, np.array(self._shape) - 1)
+        way = [int(self._map.number(cells[0]))]
+        while ways.ahead[way[-1]] >= 0:
+            way.append(int(ways.ahead[way[-1]]))
+        widths = self._map.width.ravel()[way].clip(max=WIDEST)
+        return Difficulty(float(widths.mean()), max(1.0, length / straight))
 
 
 def measure_tasks(world: World, tasks: Sequence[Task]) -> list[Difficulty | None]:

@@ -20,6 +20,7 @@ from uavrl.envs.limits import MaxSpeed, OrMapping, check_hull, require_speed, se
 from uavrl.envs.privileged import QUANTITIES, privileged
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import Randomization, draw_vehicles, require_flyable
+from uavrl.envs.shortest_way import ShortestWays
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.vehicle_params import VehicleParams
@@ -75,7 +76,8 @@ class NavigationEnv(EnvBase):
         blind: whether the LiDAR reports nothing at all, and casts nothing: altitude and angles are all that is left.
         blind_to: ``"planes"`` hides the planes from the LiDAR. They still collide.
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
-        privileged: also emit these of :data:`uavrl.envs.privileged.QUANTITIES`, which critics may read.
+        privileged: also emit these of :data:`uavrl.envs.privileged.QUANTITIES`, which critics and
+            demonstrators may read.
         tasks: the tasks that count: valleys that none of these needs are not built. Vehicles that go on after the last
             of them have further tasks in the valleys that are. None: any task.
         seed: seed of tasks, traffic, gusts and sensor noise.
@@ -138,6 +140,7 @@ class NavigationEnv(EnvBase):
         self._lidar: Lidar | None = None
         self._simulation: Simulation | None = None
         self._traffic: Traffic | None = None
+        self._ways: ShortestWays | None = None
         self._goal = np.zeros((num_uavs, 3))
         self._place_of, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
         self.observation_spec, self.done_spec = navigation_specs(
@@ -181,6 +184,7 @@ class NavigationEnv(EnvBase):
         )
         if self._lidar is None and not self.blind:
             self._lidar = Lidar(meshes, mesh, self.lidar_config)
+        self._ways = ShortestWays(self.world, self.num_uavs) if "way" in self.privileged else None
         self._next_task = 0
         self._stale = False
         if planes:
@@ -240,6 +244,8 @@ class NavigationEnv(EnvBase):
             starts[row], yaws[row] = task.start, task.yaw
             self._goal[uav], self._place_of[uav] = task.goal, task.place
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
+            if self._ways is not None:
+                self._ways.begin(int(uav), task.place, task.goal)
             self._next_task += 1
         self._steps[index] = 0
         tasks, most = range(first, self._next_task), most_load(self.airframe)
@@ -266,7 +272,7 @@ class NavigationEnv(EnvBase):
         data = {"point_cloud": self._scan(index), "arrived": arrived, "collided": collided}
         data |= {"world_seed": self._world_seed, "task": self._task}
         data |= quantities(self.simulation, self._goal, clearance=self.measure_clearance)
-        return data | privileged(self.privileged, self.simulation, self.traffic)
+        return data | privileged(self.privileged, self.simulation, self.traffic, self._ways)
 
     def _built(self, made: _Made | None) -> _Made:
         self._require_open()
@@ -346,7 +352,7 @@ class NavigationEnv(EnvBase):
         """Frees the PyBullet world, the ray-casting scene and the valleys."""
         if self._simulation is not None:
             self._simulation.close()
-        self._simulation = self._lidar = self._traffic = None
+        self._simulation = self._lidar = self._traffic = self._ways = None
         for made in ("world", "_no_returns"):
             self.__dict__.pop(made, None)
 

@@ -1,4 +1,4 @@
-"""What only a simulator knows: quantities for critics, which no policy reads."""
+"""What only a simulator knows: quantities for critics and demonstrators, which no policy that learns reads."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uavrl.envs.shortest_way import ShortestWays
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import Traffic
 from uavrl_onboard.geometry import world_to_yaw
@@ -35,14 +36,18 @@ QUANTITIES: Mapping[str, Quantity] = {
     "clearance": Quantity((1.0,), FARTHEST),
     "planes": Quantity((1.0, -1.0, 1.0) * 2 * PLANES),
     "wind": Quantity((1.0, -1.0, 1.0), STRONGEST),
+    "way": Quantity((1.0, -1.0)),
 }
 """``clearance``: m from the hull to the nearest thing, at most 5. ``planes``: of each of the three nearest within 20 m,
 its direction times ``1 - distance / 20``, and its velocity over 4 m/s; zeros for an absent one. ``wind``: m/s, without
-gusts. The axes are forward, left and up of the vehicle, turned by its yaw alone."""
+gusts. ``way``: the unit vector, forward and left, to the point 2 m ahead on the shortest way to the goal around what
+stands, at the flight level. The axes are forward, left and up of the vehicle, turned by its yaw alone."""
 
 
-def privileged(names: Collection[str], simulation: Simulation, traffic: Traffic) -> dict[str, np.ndarray]:
-    """Return those of the quantities of all vehicles ``[N, ...]`` that are asked for."""
+def privileged(
+    names: Collection[str], simulation: Simulation, traffic: Traffic, ways: ShortestWays | None
+) -> dict[str, np.ndarray]:
+    """Return those of the quantities of all vehicles ``[N, ...]`` that are asked for; ``way`` needs ``ways``."""
     found: dict[str, np.ndarray] = {}
     if "clearance" in names:
         found["clearance"] = simulation.closest_distance()
@@ -50,7 +55,24 @@ def privileged(names: Collection[str], simulation: Simulation, traffic: Traffic)
         found["wind"] = world_to_yaw(simulation.params.wind, simulation.yaw)
     if "planes" in names:
         found["planes"] = nearest_planes(simulation.position, simulation.yaw, traffic.positions, traffic.velocities())
+    if "way" in names and ways is not None:
+        found["way"] = ways.directions(simulation.position, simulation.yaw)
     return found
+
+
+def planes_told(told: np.ndarray) -> np.ndarray:
+    """Return planes as :class:`uavrl.transforms.MotionSight` reports moving objects, ``[N, 21]``, of ``planes``.
+
+    Examples:
+        >>> told = nearest_planes(np.zeros((1, 3)), np.zeros(1), np.array([[0.0, 10.0, 0.0]]), np.array([[2.0, 0, 0]]))
+        >>> planes_told(told)[0, :7].tolist()
+        [0.0, 10.0, 0.0, 2.0, 0.0, 0.0, 1.0]
+    """
+    each = told.reshape(len(told), -1, 6)
+    near = np.linalg.norm(each[..., :3], axis=-1, keepdims=True)
+    positions = each[..., :3] / np.maximum(near, 1e-9) * (1 - near) * SIGHT
+    objects = np.concatenate([positions, each[..., 3:] * FASTEST, near > 0], -1)
+    return objects.reshape(len(told), -1)
 
 
 def nearest_planes(position: np.ndarray, yaw: np.ndarray, planes: np.ndarray, velocities: np.ndarray) -> np.ndarray:

@@ -21,6 +21,12 @@ def in_turn(counts: Iterable[int] | int) -> tuple[int, ...]:
     return (counts,) if isinstance(counts, int) else tuple(counts)
 
 
+def _turn(counts: tuple[int, ...] | int, number: int) -> int:
+    """That of one valley."""
+    taken = in_turn(counts)
+    return taken[number % len(taken)]
+
+
 @dataclass
 class WorldConfig(WorldRules):
     """Size, contents and rules of a world of valleys.
@@ -30,10 +36,11 @@ class WorldConfig(WorldRules):
     Args:
         obstacles: Number of obstacles per valley, or a list of numbers that the valleys take in turn.
         obstacle_scale: Factor on all lengths of the obstacles.
-        traps: Number of traps per valley, walls as tall as the ceiling of which U, box canyon and a wall across the
-            valley with one gap take turns. With any, every task leads into one: the straight line from start to goal
-            meets its closed side from within, or that wall 3.5 m and more from its gap. The way around is at most 33 m
-            long. Other obstacles stand elsewhere than without traps. There can be no planes.
+        traps: Number of traps per valley, or a list of numbers that the valleys take in turn. Traps are walls as tall
+            as the ceiling of which U, box canyon and a wall across the valley with one gap take turns. In a valley with
+            any, every task leads into one: the straight line from start to goal meets its closed side from within, or
+            that wall 3.5 m and more from its gap. The way around is at most 33 m long. Other obstacles stand elsewhere
+            than without traps. There can be no planes.
         **kwargs: As in :class:`uavrl.envs.rules.WorldRules`.
     """
 
@@ -42,21 +49,20 @@ class WorldConfig(WorldRules):
 
     obstacles: tuple[int, ...] | int = 45
     obstacle_scale: float = 1.0
-    traps: int = 0
+    traps: tuple[int, ...] | int = 0
 
     def __post_init__(self) -> None:
         """Refuses values that make no valley."""
-        if np.iterable(self.obstacles):
-            object.__setattr__(self, "obstacles", tuple(whole("obstacles", count) for count in self.obstacles))
-        else:
-            object.__setattr__(self, "obstacles", whole("obstacles", self.obstacles))
-        if not in_turn(self.obstacles):
-            raise ValueError("obstacles takes a number, or a list that the valleys take in turn, got an empty list.")
-        object.__setattr__(self, "traps", whole("traps", self.traps))
+        for name in ("obstacles", "traps"):
+            given = getattr(self, name)
+            counts = tuple(whole(name, each) for each in given) if np.iterable(given) else whole(name, given)
+            if counts == ():
+                raise ValueError(f"{name} takes a number, or a list that the valleys take in turn, got an empty list.")
+            object.__setattr__(self, name, counts)
         require_finite(self, ["obstacle_scale"])
         require_positive(self, "obstacle_scale")
         super().__post_init__()
-        if self.traps and self.planes:
+        if any(in_turn(self.traps)) and self.planes:
             raise ValueError(f"planes have no lanes between traps, got {self.planes} and {self.traps}; set one to 0.")
         obstacles = max(in_turn(self.obstacles)) * max(1.0, self.obstacle_scale**2)
         if obstacles > MOST_OBSTACLES:
@@ -67,14 +73,17 @@ class WorldConfig(WorldRules):
 
     def obstacles_of(self, number: int) -> int:
         """How many obstacles the valley of ``seeds[number]`` has."""
-        counts = in_turn(self.obstacles)
-        return counts[number % len(counts)]
+        return _turn(self.obstacles, number)
+
+    def traps_of(self, number: int) -> int:
+        """How many traps the valley of ``seeds[number]`` has."""
+        return _turn(self.traps, number)
 
     def scene(self, number: int) -> Scene:
         """A valley around the origin."""
         seed = self.seeds[number]
         ground = valley_ground(np.random.default_rng([seed, 0]), self.size)
-        traps = place_traps(np.random.default_rng([seed, 3]), self.traps, self.size)
+        traps = place_traps(np.random.default_rng([seed, 3]), self.traps_of(number), self.size)
         taken = np.concatenate([np.zeros((0, 3)), *(trap.taken() for trap in traps)])
         rng, count = np.random.default_rng([seed, 1]), self.obstacles_of(number)
         obstacles = place_obstacles(rng, count, self.obstacle_scale, ground, taken)
@@ -83,5 +92,5 @@ class WorldConfig(WorldRules):
 
     def map_rules(self, number: int) -> dict[str, Any]:
         """What the map of a valley depends on."""
-        own = {"obstacle_scale": self.obstacle_scale, "traps": self.traps}
+        own = {"obstacle_scale": self.obstacle_scale, "traps": self.traps_of(number)}
         return {**self.own_rules(), **own, "seed": self.seeds[number], "obstacles": self.obstacles_of(number)}

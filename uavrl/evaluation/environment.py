@@ -67,6 +67,7 @@ def make_env(
     mark_resets: bool = False,
     recurrent_state: tuple[int, ...] | None = None,
     critic_reads: Sequence[str] = (),
+    policy_reads: Iterable[Any] = (),
     guards: GuardSettings | None = None,
     kind: type[TransformedEnv] = TransformedEnv,
     **context: Any,
@@ -75,13 +76,14 @@ def make_env(
 
     ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins. A
     ``recurrent_state`` of this shape is carried from step to step, for a policy with a memory. What ``critic_reads``
-    names is emitted as ``privileged``. ``guards`` are put between the policy and the environment.
+    names is emitted as ``privileged``; what only a simulator knows of ``policy_reads``, the keys that a scripted controller
+    reads, is emitted by its name. ``guards`` are put between the policy and the environment.
     """
     perception = with_sight(perception, guards)
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
     own = {**seen, **env, **several}
-    asked = [key for key in critic_reads if key in QUANTITIES]
+    asked = [key for key in QUANTITIES if key in (*critic_reads, *policy_reads)]
     context |= {"privileged": asked} if asked else {}
     base = build(own, EnvBase, packages=packages, key="env", **context)
     if base is None:
@@ -103,7 +105,7 @@ def make_env(
     require_keys(made, [(["observation"], [])], "policy")
     if critic_reads:
         require_keys(made, [(critic_reads, [])], "critic")
-        made.append_transform(Privileged(critic_reads, {key: QUANTITIES[key].divisor for key in asked}))
+        made.append_transform(Privileged(critic_reads, {key: QUANTITIES[key].divisor for key in asked if key in critic_reads}))
     if mark_resets or recurrent_state is not None:
         made.append_transform(InitTracker())
     if recurrent_state is not None:

@@ -42,6 +42,7 @@ EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its r
 BASELINES = {
     "straight": "uavrl.policies.baselines.StraightPolicy",
     "vfh": "uavrl.policies.baselines.VectorFieldHistogram",
+    "vfh_privileged": "uavrl.policies.privileged.PrivilegedVFH",
     "vfh_star": "uavrl.planners.vfh_star.VFHStar",
     "mppi": "uavrl.planners.mppi.MPPI",
     "potential_field": "uavrl.planners.potential_field.PotentialField",
@@ -76,6 +77,7 @@ class PolicySetup:
             "mark_resets": "is_init" in read,
             "recurrent_state": getattr(self.policy, "recurrent_state", None),
             "guards": self.guards,
+            "policy_reads": read,
         }
 
 

@@ -184,7 +184,7 @@ class VectorFieldHistogram(PolicyModule):
         self.in_keys = ["faces", "altitude", "heading_deg", *(["observation"] if last_action else [])]
         self.in_keys += ["moving_objects", "velocity", "attitude"] if motion is not None else []
         self.out_keys = ["action"]
-        self.motion = motion
+        self.evades = motion is not None
         self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
         self.costs = costs
         self.directions: Tensor
@@ -207,7 +207,7 @@ class VectorFieldHistogram(PolicyModule):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""
         cost, speed = self.score_directions(tensordict)
-        if self.motion is not None:
+        if self.evades:
             velocity = call_numpy(world_to_yaw, tensordict["velocity"], tensordict["attitude"][..., 2])
             cost, speed = call_numpy(evade, cost, speed, self.directions, velocity, *self.ways(tensordict))
         action = self.to_action(cost, speed, tensordict["heading_deg"])

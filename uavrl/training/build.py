@@ -218,7 +218,8 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     if acts is None:
         return make_env(*parts, **carried, packages=packages, seed=seed)
     demonstrator = as_policy(acts)
-    env = cast(DemonstratorEnv, make_env(*parts, **carried, packages=packages, seed=seed, kind=DemonstratorEnv))
+    carried |= {"packages": packages, "policy_reads": demonstrator.in_keys, "seed": seed}
+    env = cast(DemonstratorEnv, make_env(*parts, **carried, kind=DemonstratorEnv))
     require_keys(env, [(demonstrator.in_keys, ())], "demonstrator")
     sizes = network_sizes(env)
     env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions))

@@ -1,0 +1,68 @@
+"""The controller that knows the map and the planes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+
+from uavrl.envs.privileged import nearest_planes, planes_told
+from uavrl.policies.baselines import COSTS, VectorFieldHistogram
+from uavrl.policies.privileged import CAUTION, HEADWAY, PrivilegedVFH
+
+COST = replace(COSTS["range_image", "proximity"], caution=CAUTION, headway=HEADWAY)
+TOLD = {"reduction": "range_image", "last_action": True}
+
+
+def states(count: int, seed: int = 0) -> TensorDict:
+    generator = torch.Generator().manual_seed(seed)
+    faces = torch.rand(count, 72, generator=generator) * 3 * (torch.rand(count, 72, generator=generator) < 0.3)
+    return TensorDict(
+        {
+            "faces": faces,
+            "altitude": torch.full((count, 1), 3.5),
+            "heading_deg": torch.rand(count, 1, generator=generator) * 360,
+            "observation": torch.rand(count, 20, generator=generator) - 0.5,
+            "velocity": torch.randn(count, 3, generator=generator),
+            "attitude": torch.randn(count, 3, generator=generator) * torch.tensor([0.0, 0.0, 1.0]),
+        },
+        [count],
+    )
+
+
+def test_it_is_vfh_with_a_headway_where_the_way_leads_straight_to_the_goal() -> None:
+    state = states(64)
+    heading = torch.deg2rad(state["heading_deg"])
+    told = state.copy().set("way", torch.cat([heading.cos(), heading.sin()], -1)).exclude("heading_deg")
+    plain = VectorFieldHistogram(costs=COST, **TOLD)(state.copy())["action"]
+    torch.testing.assert_close(PrivilegedVFH(planes=False, **TOLD)(told)["action"], plain, atol=1e-4, rtol=0)
+    assert plain.std(0).min() > 0.05
+
+
+def test_it_evades_planes_as_vfh_evades_moving_objects() -> None:
+    state = states(64, seed=1)
+    rng = np.random.default_rng(0)
+    planes, velocities = rng.uniform(-6, 6, (3, 3)) * [1, 1, 0.1], rng.uniform(-3, 3, (3, 3)) * [1, 1, 0]
+    known = nearest_planes(np.zeros((64, 3)), rng.uniform(-3, 3, 64), planes, velocities)
+    heading = torch.deg2rad(state["heading_deg"])
+    told = state.copy().set("way", torch.cat([heading.cos(), heading.sin()], -1)).exclude("heading_deg")
+    told["planes"] = torch.from_numpy(known).float()
+    seen = state.copy().set("moving_objects", torch.from_numpy(planes_told(known)).float())
+    evading = VectorFieldHistogram(costs=COST, motion=12.0, **TOLD)(seen)["action"]
+    torch.testing.assert_close(PrivilegedVFH(**TOLD)(told)["action"], evading, atol=1e-4, rtol=0)
+    alone = PrivilegedVFH(planes=False, **TOLD)(told)["action"]
+    assert (alone - evading).abs().amax(-1).gt(0.1).float().mean() > 0.2
+
+
+def test_absent_planes_are_unknown() -> None:
+    told = planes_told(nearest_planes(np.zeros((1, 3)), np.zeros(1), np.array([[50.0, 0, 0]]), np.ones((1, 3))))
+    assert not told.any()
+
+
+def test_it_names_what_it_reads() -> None:
+    assert PrivilegedVFH(**TOLD).in_keys == [
+        "faces", "altitude", "way", "observation", "planes", "velocity", "attitude",
+    ]  # fmt: skip
+    assert "planes" not in PrivilegedVFH(planes=False).in_keys

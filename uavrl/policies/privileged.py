@@ -1,0 +1,81 @@
+"""A demonstrator that knows what only a simulator knows: the map, and where the planes are."""
+
+from dataclasses import replace
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from uavrl.envs.privileged import planes_told
+from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
+from uavrl.transforms.numpy_boundary import call_numpy
+from uavrl.transforms.reduction import Statistic
+from uavrl.transforms.state import REDUCTIONS
+from uavrl_onboard.perception.cells import RangeGrid
+from uavrl_onboard.perception.motion.threats import straight_on
+from uavrl_onboard.perception.reductions import Reduction
+from uavrl_onboard.vehicle import VEHICLE
+
+CAUTION, HEADWAY = 0.6, 0.7  # of vfh_headway (conf/demonstrator), where cells tell distances
+
+
+class PrivilegedVFH(VectorFieldHistogram):
+    """A vector field histogram that heads along the shortest way, which it is told, instead of towards the goal.
+
+    So it leaves dead ends that no scan shows. With ``planes`` it also keeps out of the ways of the planes that it is
+    told of, as if they flew straight on. It is a teacher for policies that see only scans, after Loquercio et al.
+    (2021), Learning high-speed flight in the wild (Science Robotics 6), whose teacher plans on the true map.
+
+    The environment emits what it reads (``way`` and ``planes`` of :data:`uavrl.envs.privileged.QUANTITIES`).
+
+    Args:
+        flight_level: altitude to hold where nothing is in the way, within 1 m, m.
+        radius: of the reduction in m.
+        reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
+        statistic: what a cell tells, likewise; None for the reduction's default.
+        costs: None for those of :class:`VectorFieldHistogram`, and a headway where cells tell distances.
+        last_action: whether the observation ends with the last action, likewise.
+        planes: whether it is told of planes.
+        max_speed: limit of each component of the velocity, m/s.
+        grid: where the cells of a range image are, likewise.
+
+    Examples:
+        A dead end lies before the goal, and the way leads to the left:
+
+        >>> from tensordict import TensorDict
+        >>> state = {"faces": torch.zeros(1, 32), "altitude": torch.full((1, 1), 3.5), "way": torch.tensor([[0.0, 1.0]])}
+        >>> action = PrivilegedVFH(planes=False)(TensorDict(state, [1]))["action"]
+        >>> action.round(decimals=2).abs().tolist()
+        [[0.0, 2.0, 0.0, 0.94]]
+    """
+
+    def __init__(
+        self,
+        flight_level: float = VEHICLE.flight_level,
+        radius: float = 4.0,
+        reduction: Reduction = "truncated_icosahedron",
+        statistic: Statistic | None = None,
+        costs: VFHWeights | None = None,
+        last_action: bool = False,
+        planes: bool = True,
+        grid: RangeGrid | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
+    ) -> None:
+        told = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
+        if costs is None and told == "proximity":
+            costs = replace(COSTS[reduction, told], caution=CAUTION, headway=HEADWAY)
+        super().__init__(flight_level, radius, reduction, statistic, costs, last_action, None, grid, max_speed)
+        self.in_keys = [*("way" if key == "heading_deg" else key for key in self.in_keys)]
+        self.in_keys += ["planes", "velocity", "attitude"] if planes else []
+        self.evades = planes
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action`` as its base does, towards ``way`` instead of ``heading_deg``."""
+        ahead, left = tensordict["way"].unbind(-1)
+        led = tensordict.copy().set("heading_deg", torch.rad2deg(torch.atan2(left, ahead))[..., None])
+        return tensordict.set("action", super().forward(led)["action"])
+
+    def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Where planes will be if they fly straight on, and which there are."""
+        ways, known = call_numpy(straight_on, call_numpy(planes_told, tensordict["planes"]))
+        return ways, known
