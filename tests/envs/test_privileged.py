@@ -17,7 +17,9 @@ WORLD = WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=4, planes=2, p
 
 
 def test_it_is_emitted_where_it_is_asked_for_alone() -> None:
-    asked = NavigationEnv(1, world=WORLD, privileged=["wind", "planes", "clearance"], aerodynamics={"wind": (3, 0, 0)})
+    asked = NavigationEnv(
+        1, world=WORLD, privileged=["wind", "planes", "clearance", "way"], aerodynamics={"wind": (3, 0, 0)}
+    )
     plain = NavigationEnv(1, world=WORLD, aerodynamics={"wind": (3, 0, 0)})
     one, other = asked.rollout(3)["next"], plain.rollout(3)["next"]
     assert set(one.keys()) - set(other.keys()) == set(QUANTITIES)
@@ -56,5 +58,5 @@ def test_far_planes_are_absent_and_near_ones_come_first() -> None:
 
 
 def test_another_quantity_is_refused() -> None:
-    with pytest.raises(UavrlError, match="privileged takes any of clearance, planes, wind, got sun"):
+    with pytest.raises(UavrlError, match="privileged takes any of clearance, planes, wind, way, got sun"):
         NavigationEnv(1, privileged=["sun"])

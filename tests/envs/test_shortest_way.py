@@ -104,16 +104,17 @@ def test_the_way_ends_at_the_goal() -> None:
     world = World(WorldConfig(seeds=(200,), obstacles=0))
     ways, task = ShortestWays(world, 1), world.sample_task(np.random.default_rng(0))
     ways.begin(0, 0, task.goal)
-    near = task.goal + [0.5, 0.0, 0.0]
+    near = task.goal + np.array([0.5, 0.0, 0.0])
     np.testing.assert_allclose(ways.directions(near[None], np.zeros(1)), [[-1.0, 0.0]], atol=1e-9)
 
 
 def test_a_new_episode_has_a_new_way_and_the_others_keep_theirs() -> None:
     env = NavigationEnv(2, world=TRAPPED, privileged=["way"], blind=True)
     data = env.reset()
+    before = data.clone()
     data["_reset"] = data["done"].clone()
     data["_reset"][0] = True
     again = env.reset(data)
-    assert not again["goal"][0].allclose(data["goal"][0]) and again["goal"][1].allclose(data["goal"][1])
-    assert again["way"][1].allclose(data["way"][1]) and not again["way"][0].allclose(data["way"][0])
+    assert not again["goal"][0].allclose(before["goal"][0]) and again["goal"][1].allclose(before["goal"][1])
+    assert again["way"][1].allclose(before["way"][1]) and not again["way"][0].allclose(before["way"][0])
     env.close()

@@ -38,9 +38,9 @@ def doubles() -> Iterator[None]:
     torch.set_default_dtype(torch.float32)
 
 
-def small(**lidar: float) -> NavigationEnv:
+def small(*privileged: str, **lidar: float) -> NavigationEnv:
     world = WorldConfig(size=(60.0, 60.0), obstacles=6)
-    return NavigationEnv(2, world=world, lidar=LidarConfig(max_range=4.0, **lidar), seed=1)
+    return NavigationEnv(2, world=world, lidar=LidarConfig(max_range=4.0, **lidar), privileged=privileged, seed=1)
 
 
 def acted(policy: str) -> TensorDictBase:
@@ -85,7 +85,7 @@ def test_a_planner_acts(name: str) -> None:
     for part in state.modules():
         if isinstance(part, PointCloudReduction):
             part.del_keys = False
-    env = TransformedEnv(small(far_range=12.0), Compose(state, InitTracker()))
+    env = TransformedEnv(small("way", "planes", far_range=12.0), Compose(state, InitTracker()))
     assert env.rollout(3, find_class(BASELINES[name], object)())["action"].dtype == torch.float32
 
 

@@ -13,12 +13,13 @@ from torchrl.envs import InitTracker, TransformedEnv
 
 from uavrl.config.build import find_class
 from uavrl.envs import NavigationEnv
+from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import BASELINES, named_policy
 from uavrl.planners.point_memory import Planner
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights, keep_headway
-from uavrl.policy_protocol import AdaptedPolicy
+from uavrl.policy_protocol import AdaptedPolicy, PolicyModule
 from uavrl.transforms import NavigationState
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import REDUCTIONS
@@ -197,8 +198,10 @@ def test_a_class_from_elsewhere_is_told_the_flight_level_alone() -> None:
 
 @pytest.mark.parametrize("name", BASELINES)
 def test_torchrl_rolls_a_rule_out(name: str) -> None:
-    base = NavigationEnv(2, world=WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=5.0), seed=0)
-    rule = find_class(BASELINES[name], torch.nn.Module)()
+    rule = find_class(BASELINES[name], PolicyModule)()
+    told = [key for key in QUANTITIES if key in rule.in_keys]
+    world = WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=5.0)
+    base = NavigationEnv(2, world=world, privileged=told, seed=0)
     env = TransformedEnv(base, InitTracker() if isinstance(rule, Planner) else NavigationState())
     flown = env.rollout(2, rule)
     assert flown["action"].shape == (2, 2, 4)

@@ -76,8 +76,8 @@ def make_env(
 
     ``keep_cloud`` keeps the point clouds, ``mark_resets`` emits ``is_init``, whether an episode begins. A
     ``recurrent_state`` of this shape is carried from step to step, for a policy with a memory. What ``critic_reads``
-    names is emitted as ``privileged``; what only a simulator knows of ``policy_reads``, the keys that a scripted controller
-    reads, is emitted by its name. ``guards`` are put between the policy and the environment.
+    names is emitted as ``privileged``; what only a simulator knows of ``policy_reads``, the keys that a policy or a
+    demonstrator reads, is emitted by its name. ``guards`` are put between the policy and the environment.
     """
     perception = with_sight(perception, guards)
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
@@ -105,7 +105,9 @@ def make_env(
     require_keys(made, [(["observation"], [])], "policy")
     if critic_reads:
         require_keys(made, [(critic_reads, [])], "critic")
-        made.append_transform(Privileged(critic_reads, {key: QUANTITIES[key].divisor for key in asked if key in critic_reads}))
+        made.append_transform(
+            Privileged(critic_reads, {key: QUANTITIES[key].divisor for key in asked if key in critic_reads})
+        )
     if mark_resets or recurrent_state is not None:
         made.append_transform(InitTracker())
     if recurrent_state is not None:

@@ -43,10 +43,11 @@ class PrivilegedVFH(VectorFieldHistogram):
         A dead end lies before the goal, and the way leads to the left:
 
         >>> from tensordict import TensorDict
-        >>> state = {"faces": torch.zeros(1, 32), "altitude": torch.full((1, 1), 3.5), "way": torch.tensor([[0.0, 1.0]])}
-        >>> action = PrivilegedVFH(planes=False)(TensorDict(state, [1]))["action"]
-        >>> action.round(decimals=2).abs().tolist()
-        [[0.0, 2.0, 0.0, 0.94]]
+        >>> way, altitude = torch.tensor([[0.0, 1.0]]), torch.full((1, 1), 3.5)
+        >>> state = {"faces": torch.zeros(1, 32), "altitude": altitude, "way": way}
+        >>> forward, left, up, turn = PrivilegedVFH(planes=False)(TensorDict(state, [1]))["action"][0].tolist()
+        >>> left > 1.9, turn > 0.8
+        (True, True)
     """
 
     def __init__(
