@@ -109,13 +109,13 @@ def test_the_makefile_asks_for_what_the_package_asks_for() -> None:
     assert os.access(ROOT / ".ci/check_python", os.X_OK)
 
 
-def requirements(*extras: str) -> list[Requirement]:
-    """What ``pip install 'uavrl[EXTRAS]'`` asks for, extras of extras included."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+def requirements(*extras: str, folder: Path = ROOT) -> list[Requirement]:
+    """What ``pip install 'PACKAGE[EXTRAS]'`` asks for, extras of extras included."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
     asked = [*map(Requirement, project["dependencies"])]
     for extra in extras:
         for found in map(Requirement, project["optional-dependencies"][extra]):
-            asked += requirements(*found.extras) if found.name == "uavrl" else [found]
+            asked += requirements(*found.extras, folder=folder) if found.name == project["name"] else [found]
     return asked
 
 
@@ -134,6 +134,18 @@ def test_all_but_the_simulator_installs_where_it_has_no_wheels() -> None:
         jetson = installed(**linux, platform_machine="aarch64", python_version=version)
         assert not jetson & simulators
         assert {"torch", "torchrl", "hydra-core"} <= jetson
+
+
+def test_all_but_cyclone_dds_installs_where_it_has_no_wheels() -> None:
+    flies = requirements("all", folder=ROOT / "onboard")
+    linux, mac = {"sys_platform": "linux"}, {"sys_platform": "darwin", "platform_machine": "arm64"}
+    for machine, left_out in (
+        ({**linux, "platform_machine": "x86_64"}, set()),
+        ({**linux, "platform_machine": "aarch64"}, {"cyclonedds"}),
+        (mac, set()),
+    ):
+        installed = {r.name for r in flies if r.marker is None or r.marker.evaluate(machine)}
+        assert {r.name for r in flies} - installed == left_out, machine
 
 
 def test_the_light_install_brings_neither_simulator_nor_trainer() -> None:
