@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shlex
@@ -148,11 +149,36 @@ def test_all_but_cyclone_dds_installs_where_it_has_no_wheels() -> None:
         assert {r.name for r in flies} - installed == left_out, machine
 
 
+IMPORTED_AS = {
+    **{"yaml": "pyyaml", "hydra": "hydra-core", "sklearn": "scikit-learn", "PIL": "pillow"},
+    **{"pydantic_core": "pydantic", "onnx_ir": "onnxscript"},  # one release of the former fits one of the latter
+}
+OF_THE_USER = {"stable_baselines3"}  # opens the models of a user who has it
+
+
+@pytest.mark.parametrize(("folder", "package"), [(ROOT, "uavrl"), (ROOT / "onboard", "uavrl_onboard")])
+def test_each_library_that_is_imported_is_declared(folder: Path, package: str) -> None:
+    extras = tomllib.loads((folder / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    declared = {r.name for r in requirements(*extras.keys() - {"dev", "docs"}, folder=folder)}
+    if package == "uavrl":
+        declared |= {r.name for r in requirements("pages", folder=ROOT / "onboard")}
+    imported = set()
+    for path in (folder / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+            imported |= {name.partition(".")[0] for name in names}
+    libraries = imported - sys.stdlib_module_names - {"uavrl", "uavrl_onboard"} - OF_THE_USER
+    assert libraries > {"numpy", "pydantic"}
+    undeclared = {IMPORTED_AS.get(each, each).replace("_", "-") for each in libraries} - declared
+    assert not undeclared
+
+
 def test_the_light_install_brings_neither_simulator_nor_trainer() -> None:
     light = {r.name for r in requirements()}
     assert light == {
         *("uavrl-onboard", "torch", "torchrl", "tensordict"),
-        *("numpy", "scipy", "safetensors", "sortedcontainers"),
+        *("numpy", "scipy", "pydantic", "omegaconf", "pyyaml", "safetensors", "sortedcontainers"),
     }
     sim = {r.name for r in requirements("sim")} - light
     assert sim == {"pybullet", "pybullet-arm64", "embreex", "gymnasium", "trimesh", "pypcd4"}
