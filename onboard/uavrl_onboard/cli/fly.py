@@ -33,8 +33,8 @@ from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.flight.summary import FlightSummary
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
-from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.udp_scans import UdpScans
 from uavrl_onboard.policy.policy import Policy
 from uavrl_onboard.ranges import Folder, NonNegative, Positive
 from uavrl_onboard.sentences import require
