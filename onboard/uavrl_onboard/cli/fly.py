@@ -19,7 +19,7 @@ from uavrl_onboard.cli.command import About, command
 from uavrl_onboard.cli.flight_end import conclude, until_the_end, writes
 from uavrl_onboard.cli.flight_lines import FlightLines
 from uavrl_onboard.cli.lidar_keys import LidarKeys
-from uavrl_onboard.cli.nonblocking_output import beside
+from uavrl_onboard.cli.nonblocking_output import nonblocking_output
 from uavrl_onboard.cli.process import terminable
 from uavrl_onboard.cli.ros2_keys import ROS2, Ros2Config, ros2_feed, ros2_link, ros2_reports
 from uavrl_onboard.errors import Stopped, UavrlError
@@ -160,7 +160,7 @@ def main(settings: FlyConfig) -> None:
         if numbers is not None:
             opened.push(writes(summary, numbers))  # comes last
         if settings.is_live:
-            opened.enter_context(beside())
+            opened.enter_context(nonblocking_output())
         link = opened.enter_context(closing(open_link(settings)))
         guards = make_guards(settings, policy)
         layer, moves = SafetyLayer(settings.safety), settings.autopilot is not None
