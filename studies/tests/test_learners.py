@@ -16,6 +16,7 @@ from uavrl.cli.train import main as train
 from uavrl.config import compose, validate
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import read_policy
+from uavrl_onboard.vehicle import VEHICLE
 
 LEARNERS = Path(__file__).resolve().parents[1] / "learners"
 DOOR = ["--config-dir", str(LEARNERS / "conf")]
@@ -73,7 +74,7 @@ class Always(torch.nn.Module):
 
     def __init__(self, action: float) -> None:
         super().__init__()
-        self.action, self.last_action, self.radius, self.flight_level = action, False, 4.0, 3.5
+        self.action, self.last_action, self.radius, self.vehicle = action, False, 4.0, VEHICLE
 
     def forward(self, seen: torch.Tensor | TensorDict) -> torch.Tensor | TensorDict:
         if isinstance(seen, torch.Tensor):

@@ -65,7 +65,6 @@ def test_the_verdict_is_printed_and_written(
         (["best", "vfh perception=valley"], "perception must be one of"),
         (["best", "vfh env.world.obstacles=3"], "row chooses the worlds"),
         (["best", "vfh +randomize=all"], "row chooses the worlds"),
-        (["best", "vfh shield=true"], "write guards=[shield]"),
         (["best", "none.json"], "none.json cannot be read"),
     ],
 )

@@ -9,7 +9,6 @@ import pickle
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -17,20 +16,18 @@ import numpy as np
 import pytest
 import stable_baselines3 as sb3
 import torch
-from safetensors.torch import load_file
-from stable_baselines3.common.running_mean_std import RunningMeanStd
+from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from tensordict import TensorDict
 
 from tests.helpers.commands import in_process
 from tests.helpers.configs import composed
-from tests.helpers.recorded import recorded
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli.suite import _changed
 from uavrl.config import EvaluateConfig, validate
 from uavrl.errors import UavrlError
-from uavrl.evaluation.policies import file_of_policy, packaged_policies
-from uavrl.evaluation.sb3 import NEGATIVE, StableBaselinesPolicy, _untouched
+from uavrl.evaluation.policies import file_of_policy
+from uavrl.evaluation.sb3 import StableBaselinesPolicy
 
 SHORT = ["episodes=2", "num_uavs=2", "env.max_steps=3", "progress=false"]
 CLIMBER = '''
@@ -89,52 +86,40 @@ def test_a_model_of_stable_baselines_acts_as_in_its_own_library(models: dict[str
         StableBaselinesPolicy(models[name])(TensorDict({"observation": states[:, :35]}, [5]))
 
 
-def learned(name: str, path: Path, normalized: bool = True, learns: bool = True, norm_obs: bool = True) -> Any:
-    """A model that has seen a few steps, saved, and the VecNormalize around its environment, which is not."""
-    env: Any = DummyVecEnv([Empty])
-    env = VecNormalize(env, norm_obs=norm_obs) if normalized else env
+def learned(name: str, path: Path) -> tuple[Any, VecNormalize]:
+    """A model that has learned a few steps in a VecNormalize, saved, and that VecNormalize."""
+    env = VecNormalize(DummyVecEnv([Empty]))
     few = {"n_steps": 32, "batch_size": 32, "n_epochs": 1} if name == "PPO" else {"learning_starts": 100}
-    model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, seed=3, **few)
-    if learns:
-        model.learn(64)
+    model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs={"net_arch": [8]}, seed=3, **few).learn(64)
     model.save(path)
     return model, env
 
 
-@pytest.mark.parametrize(("name", "file"), [("TD3", "vecnormalize.pkl"), ("PPO", "m_vecnormalize_64_steps.pkl")])
-def test_a_model_that_saw_normalized_observations_takes_their_statistics(name: str, file: str, tmp_path: Path) -> None:
-    path = tmp_path / "m_64_steps.zip"
-    model, env = learned(name, path)
-    with pytest.raises(UavrlError, match=r"VecNormalize had changed: put .* beside it as vecnormalize.pkl"):
-        StableBaselinesPolicy(path)
-    env.save(str(tmp_path / file))
+@pytest.mark.parametrize("name", ["TD3", "PPO"])
+def test_a_model_reads_normalized_observations_only_if_its_statistics_are_given(name: str, tmp_path: Path) -> None:
+    model, env = learned(name, tmp_path / "model.zip")
+    env.save(str(tmp_path / "vecnormalize.pkl"))
     states = torch.rand(5, 105)
-    acted = StableBaselinesPolicy(path)(TensorDict({"observation": states}, [5]))["action"]
-    expected, _ = model.predict(env.normalize_obs(states.numpy()), deterministic=True)
-    np.testing.assert_array_equal(acted.numpy(), expected)
-    assert np.abs(model.predict(states.numpy(), deterministic=True)[0] - expected).max() > 1e-3
+    given = {None: states.numpy(), tmp_path / "vecnormalize.pkl": env.normalize_obs(states.numpy())}
+    acted = []
+    for file, seen in given.items():
+        policy = StableBaselinesPolicy(tmp_path / "model.zip", file)
+        acted.append(policy(TensorDict({"observation": states}, [5]))["action"].numpy())
+        np.testing.assert_array_equal(acted[-1], model.predict(seen, deterministic=True)[0])
+    assert np.abs(acted[0] - acted[1]).max() > 1e-3
 
 
-FACES = Path(__file__).parent / "faces.safetensors"  # of policy=static of uavrl 0.1.0, which saw 32 faces
+class Recurrent(ActorCriticPolicy):
+    """Returns a state beside its actions, as the policies of RecurrentPPO do."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        return super().predict(*args, **kwargs)[0], (np.zeros(1),)
 
 
-@pytest.mark.parametrize(
-    ("name", "last_action"), [*((name, False) for name in packaged_policies()), ("faces", False), ("faces", True)]
-)
-def test_states_of_the_valley_are_told_from_normalized_ones(name: str, last_action: bool) -> None:
-    """Each of some hundreds of recorded states, as if it were the last one of a training."""
-    flown = load_file(FACES) if name == "faces" else recorded(name)
-    states = flown["observation"].double().numpy()
-    if last_action:  # that of three frames of 32 faces, altitude and goal angles; two in a row are much alike
-        acted = flown["action"].double().numpy()[:, None].repeat(3, 1) / 2
-        states = np.concatenate([states.reshape(-1, 3, 35), acted], -1).reshape(len(states), -1)
-    normalizer: Any = SimpleNamespace(rms=RunningMeanStd(shape=states.shape[1:]))
-    normalizer.rms.update(states)
-    normalizer.normalize_obs = lambda seen: (seen - normalizer.rms.mean) / np.sqrt(normalizer.rms.var + 1e-8)
-    normalized = normalizer.normalize_obs(states)
-    assert (states < 0).mean(1).max() < NEGATIVE < (normalized < 0).mean(1).min()
-    assert all(_untouched(state, normalizer) for state in states)
-    assert not any(_untouched(state, normalizer) for state in normalized)
+def test_a_recurrent_model_is_refused(tmp_path: Path) -> None:
+    sb3.PPO(Recurrent, Empty(), policy_kwargs={"net_arch": [8]}).save(tmp_path / "model.zip")
+    with pytest.raises(UavrlError, match=r"model.zip has a recurrent policy, whose state an evaluation would not keep"):
+        StableBaselinesPolicy(tmp_path / "model.zip")
 
 
 class Bomb:
@@ -147,44 +132,37 @@ def test_statistics_are_opened_once_the_model_is_trusted(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     learned("TD3", tmp_path / "model.zip")
-    Path("vecnormalize.pkl").write_bytes(pickle.dumps(Bomb()))
-    assert "add packages=[stable_baselines3]" in refused(evaluate_command.main, "policy=model.zip", *SHORT)
+    Path("statistics.pkl").write_bytes(pickle.dumps(Bomb()))
+    given = ["policy=model.zip", "vecnormalize=statistics.pkl", *SHORT]
+    assert "add packages=[stable_baselines3]" in refused(evaluate_command.main, *given)
     assert not Path("exploded").exists()
 
 
-@pytest.mark.parametrize("name", ["TD3", "PPO"])
-def test_statistics_of_another_model_are_left_out(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One that has learned from observations as they are. One that has not learned at all takes what lies beside it."""
-    _, env = learned(name, tmp_path / "other.zip")
-    env.save(str(tmp_path / "vec_normalize.pkl"))
-    states = torch.rand(5, 105)
-    for learns in (True, False):
-        caplog.clear()
-        model, _ = learned(name, tmp_path / "model.zip", normalized=False, learns=learns)
-        acted = StableBaselinesPolicy(tmp_path / "model.zip")(TensorDict({"observation": states}, [5]))["action"]
-        seen = states.numpy() if learns else env.normalize_obs(states.numpy())
-        np.testing.assert_array_equal(acted.numpy(), model.predict(seen, deterministic=True)[0])
-        assert ("vec_normalize.pkl is left out: model.zip has learned" in caplog.text) == learns
-
-
-def test_rewards_that_were_normalized_need_no_statistics(tmp_path: Path) -> None:
-    model, _ = learned("PPO", tmp_path / "model.zip", norm_obs=False)
-    states = torch.rand(5, 105)
-    acted = StableBaselinesPolicy(tmp_path / "model.zip")(TensorDict({"observation": states}, [5]))["action"]
-    np.testing.assert_array_equal(acted.numpy(), model.predict(states.numpy(), deterministic=True)[0])
+def test_statistics_of_a_policy_that_is_no_model_are_refused(refused: Callable[..., str]) -> None:
+    said = refused(evaluate_command.main, "policy=best", "vecnormalize=statistics.pkl", *SHORT)
+    assert "vecnormalize must be left out unless policy=MODEL.zip is given, got 'statistics.pkl'" in said
 
 
 @pytest.mark.parametrize(
     ("content", "told"),
-    [(b"nothing", "cannot be opened"), (pickle.dumps([1.0]), r"shape \(105,\)"), (None, r"shape \(105,\)")],
+    [(None, "is no file"), (b"nothing", "cannot be opened"), (pickle.dumps([1.0]), r"of shape \(105,\) in")],
 )
-def test_statistics_of_something_else_are_named(content: bytes | None, told: str, tmp_path: Path) -> None:
-    _, env = learned("TD3", tmp_path / "model.zip")
-    if content is None:
-        env.observation_space = type(env.observation_space)(-1.0, 1.0, (35,))
-    (tmp_path / "vecnormalize.pkl").write_bytes(pickle.dumps(env) if content is None else content)
-    with pytest.raises(UavrlError, match=rf"{told}.*vecnormalize.pkl|vecnormalize.pkl.*{told}"):
-        StableBaselinesPolicy(tmp_path / "model.zip")
+def test_statistics_that_are_none_are_named(
+    models: dict[str, Path], content: bytes | None, told: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "statistics.pkl"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(UavrlError, match=rf"{told}.*statistics.pkl|statistics.pkl.*{told}"):
+        StableBaselinesPolicy(models["TD3"], file)
+
+
+def test_statistics_of_observations_of_another_width_are_named(models: dict[str, Path], tmp_path: Path) -> None:
+    env: Any = VecNormalize(DummyVecEnv([Empty]))
+    env.observation_space = type(env.observation_space)(-1.0, 1.0, (35,))
+    (tmp_path / "statistics.pkl").write_bytes(pickle.dumps(env))
+    with pytest.raises(UavrlError, match=r"of shape \(105,\) in .*statistics.pkl"):
+        StableBaselinesPolicy(models["TD3"], tmp_path / "statistics.pkl")
 
 
 def rewritten(source: Path, target: Path, changes: dict[str, Callable[[str], str]]) -> Path:
@@ -270,6 +248,8 @@ def test_a_policy_that_is_no_run_is_known_by_the_file_it_comes_from(
     assert file_of_policy("straight", []) is None
     os.utime(tmp_path / "other_policies.py", (2_000_000_000, 2_000_000_000))
     named = composed("evaluate", "policy=other_policies.Climber", "packages=[other_policies]")
+    assert _changed(validate(named, EvaluateConfig)) == 2_000_000_000
+    named = composed("evaluate", f"policy='{models['TD3']}'", f"vecnormalize='{tmp_path / 'other_policies.py'}'")
     assert _changed(validate(named, EvaluateConfig)) == 2_000_000_000
 
 

@@ -219,6 +219,11 @@ def test_the_thesis_and_one_factor_at_a_time(overrides: list[str], angles: str, 
     assert found == (angles, term, reward)
 
 
+def test_a_demonstrator_assumes_the_hull_of_the_vehicle_that_it_flies() -> None:
+    wide = settings("demonstrator=vfh", "env.airframe.collision_radius=0.5")
+    assert wide.demonstrator.airframe == wide.env.airframe and wide.env.airframe.collision_radius == 0.5
+
+
 def test_the_best_preset_stays_near_a_guide_in_many_valleys() -> None:
     config = compose("preset=td3_bc")
     assert len(config.env.world.seeds) == 48 and not set(config.env.world.seeds) & set(range(100, 110))

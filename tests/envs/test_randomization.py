@@ -29,10 +29,10 @@ BOX = Mesh([[-3, -2, 0], [5, -2, 0], [5, 4, 0], [-3, 4, 0], [-3, -2, 9], [5, -2,
 MASS, WEIGHT, THRUST = 2.307, 2.307 * 9.81, 1.53819e-5
 
 
-def begin(simulation: Simulation, *plants: VehicleParams) -> None:
-    """Places the vehicles anew, at (0, 0, 3.5) along x, as these plants."""
+def begin(simulation: Simulation, *params: VehicleParams) -> None:
+    """Places the vehicles anew, at (0, 0, 3.5) along x, with these parameters."""
     count = simulation.count
-    simulation.reset(np.arange(count), np.tile([0.0, 0.0, 3.5], (count, 1)), np.zeros(count), plants)
+    simulation.reset(np.arange(count), np.tile([0.0, 0.0, 3.5], (count, 1)), np.zeros(count), params)
 
 
 def fly(simulation: Simulation, steps: int, *command: float) -> None:
@@ -189,11 +189,11 @@ def alone_at(simulation: Simulation, state: np.ndarray) -> None:
     simulation._publish()
 
 
-def scan(*plants: VehicleParams, config: LidarConfig | None = None) -> np.ndarray:
-    with world(len(plants)) as simulation:
-        begin(simulation, *plants)
+def scan(*params: VehicleParams, config: LidarConfig | None = None) -> np.ndarray:
+    with world(len(params)) as simulation:
+        begin(simulation, *params)
         lidar = Lidar([BOX, FLOOR], config=config)
-        return simulation.scan(lidar, np.arange(len(plants)), None, np.random.default_rng(0))
+        return simulation.scan(lidar, np.arange(len(params)), None, np.random.default_rng(0))
 
 
 def test_a_turned_mount_turns_the_cloud() -> None:
@@ -255,15 +255,16 @@ ALL = Randomization(
 
 def test_each_quantity_is_uniform_in_its_range_and_independent_of_the_others() -> None:
     rng = np.random.default_rng(0)
-    plants = [draw_vehicle(ALL, rng) for _ in range(4000)]
-    drawn = {name: np.array([getattr(plant, name) for plant in plants]) for name in LIMITS if name != "wind"}
-    wind = np.array([plant.wind for plant in plants])
+    params = [draw_vehicle(ALL, rng) for _ in range(4000)]
+    drawn = {name: np.array([getattr(each, name) for each in params]) for name in LIMITS if name != "wind"}
+    wind = np.array([each.wind for each in params])
     drawn["wind"] = np.hypot(*wind.T)
     shares = {
         name: (found - (low := getattr(ALL, name)[0])) / (getattr(ALL, name)[1] - low) for name, found in drawn.items()
     }
     shares |= {
-        name: np.array([getattr(p, name) for p in plants]) / (2 * np.pi) for name in ("mount_axis", "blind_azimuth")
+        name: np.array([getattr(each, name) for each in params]) / (2 * np.pi)
+        for name in ("mount_axis", "blind_azimuth")
     }
     shares["wind_direction"] = np.arctan2(*wind.T[::-1]) / (2 * np.pi) % 1
     for name, share in shares.items():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +23,7 @@ from uavrl_onboard.flight.loop import Flight
 from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
+from uavrl_onboard.guards.shield import Shield, closing_speeds, sight_at
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.policy.contract import read_contract
 from uavrl_onboard.policy.contract_parts import GuardTerms
@@ -59,6 +62,19 @@ def test_the_contract_names_guards_with_their_settings_and_the_hull(folder: Path
     read = read_contract(folder)
     assert read.guard_settings == guard_settings(["all", {"shield": {"margin": 0.2}}])
     assert read.vehicle.hull == (0.4, 0.14) and read.vehicle.flight_level == 3.0
+
+
+def test_the_contract_explains_the_shield_as_it_acts(terms: dict[str, Any]) -> None:
+    """Its two formulas for a vehicle above 2 m/s give what the shield uses, with a gap in m."""
+    said = terms["guards"]["shield"]["does"].replace("²", "**2")
+    farthest, fastest = (
+        re.findall(pattern, said)[0] for pattern in (r"points count within (.*?) m, and", r"(sqrt\(.*\))$")
+    )
+    for v, gap in ((4.0, 5.0), (6.0, 8.0)):
+        numbers = {"sqrt": math.sqrt, "time": 0.7, "gap": gap, "v": v}
+        assert eval(farthest, numbers) == pytest.approx(sight_at(Shield.sight, v))
+        assert eval(fastest, numbers) == pytest.approx(closing_speeds(np.array(gap), 0.7, v))
+    assert f"within {Shield.sight:g} m, except" in said
 
 
 def test_a_contract_without_guards_names_none() -> None:

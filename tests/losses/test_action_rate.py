@@ -38,7 +38,7 @@ def test_it_has_the_size_of_the_objective_and_joins_imitation() -> None:
     rate = loss.actor_term(loss.act(data))[0]
     value, metadata = loss.actor_loss(data)
     torch.testing.assert_close(value, plain + plain.abs().mean() * rate)
-    assert {"guide_distance", "action_rate"} <= set(metadata)
+    assert {"demonstrator_distance", "action_rate"} <= set(metadata)
 
 
 def test_alone_it_keeps_the_last_action() -> None:

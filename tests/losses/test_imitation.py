@@ -51,7 +51,7 @@ def test_the_term_has_the_size_of_the_objective() -> None:
     plain, metadata = loss.base.actor_loss(data)
     distance = action_distance(loss.act(data)["action"], data["demonstrator_action"], 2.0)
     torch.testing.assert_close(loss.actor_loss(data)[0], plain + 0.7 * plain.abs().mean() * distance)
-    torch.testing.assert_close(loss.actor_loss(data)[1]["guide_distance"], distance)
+    torch.testing.assert_close(loss.actor_loss(data)[1]["demonstrator_distance"], distance)
     assert set(metadata) < set(loss.actor_loss(data)[1])
 
 
@@ -107,7 +107,7 @@ def test_a_batch_without_actions_to_clone_is_refused() -> None:
     loss.actor_loss(TestContract().make_data().rename_key_("demonstrator_action", "advice"))
 
 
-@pytest.mark.parametrize("told", ["guide_distance", "action_rate"])
+@pytest.mark.parametrize("told", ["demonstrator_distance", "action_rate"])
 @pytest.mark.parametrize("kind", [DDPGLoss, SACLoss, TD3Loss])
 def test_it_attaches_to_any_loss_and_to_critics_that_are_not_ours(
     kind: type[TD3Loss | DDPGLoss | SACLoss], told: str
@@ -119,7 +119,7 @@ def test_it_attaches_to_any_loss_and_to_critics_that_are_not_ours(
     keys = ["observation", "action"], ["state_action_value"]
     critics = [TensorDictModule(MLPCritic(), *keys) for _ in range(kind.num_critics)]
     base = kind.of_networks(kind.policy_of(network, SPEC), critics, SPEC)
-    loss = Imitation(base, limit=2.0) if told == "guide_distance" else ActionRate(base, actions=2, limit=2.0)
+    loss = Imitation(base, limit=2.0) if told == "demonstrator_distance" else ActionRate(base, actions=2, limit=2.0)
     data = TestContract().make_data()
     with torch.random.fork_rng():  # SAC draws its action: the same one both times
         plain = loss.base.actor_loss(data)[0]
@@ -134,4 +134,4 @@ def test_fork_goes_around_it() -> None:
     loss = fork(TestContract().make_loss())
     loss.update_gate(0.01)
     value, metadata = loss.actor_loss(TestContract().make_data())
-    assert value.isfinite() and {"fork_term", "guide_distance"} <= set(metadata)
+    assert value.isfinite() and {"fork_term", "demonstrator_distance"} <= set(metadata)

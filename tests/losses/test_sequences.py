@@ -180,7 +180,7 @@ def test_penalties_read_the_state_as_it_is_observed(name: str) -> None:
     rate = 0.25 * (action - last).square().mean(-1)
     torch.testing.assert_close(metadata["action_rate"], rate.detach())
     scripted = batch["steps", "demonstrator_action"].flatten(0, 1)
-    torch.testing.assert_close(metadata["guide_distance"], 0.25 * (action - scripted).square().mean(-1).detach())
+    torch.testing.assert_close(metadata["demonstrator_distance"], 0.25 * (action - scripted).square().mean(-1).detach())
 
 
 def test_the_demonstrator_is_cloned_on_windows() -> None:

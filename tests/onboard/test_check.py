@@ -19,7 +19,7 @@ from uavrl_onboard.autopilot.mavlink import Autopilot
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.flight.check import Evidence, Item, Level, Listener, Setup, everywhere
 from uavrl_onboard.flight.check_items import judge
-from uavrl_onboard.flight.health import Doubts
+from uavrl_onboard.flight.health import FlightHealth
 from uavrl_onboard.flight.limits import SafetyLimits
 from uavrl_onboard.flight.loop import Flight
 from uavrl_onboard.flight.safety import SafetyLayer
@@ -103,7 +103,7 @@ def evidence(policy: Policy, come: Come, feed: Feed, link: Any = None, guards: A
     flight = Flight(policy, come.goal, listener, SafetyLayer(everywhere(limits)), guards=filters)
     vehicle = None if come.dry else link or played
     known = Setup(policy.contract, come.goal, limits, VEHICLE, feed, True, vehicle, **setup)  # type: ignore[arg-type]
-    found = Evidence(known, flight, Doubts(feed.trouble, 10.0, stamped=True, remarks=feed.remarks))
+    found = Evidence(known, flight, FlightHealth(feed.trouble, 10.0, stamped=True, remarks=feed.remarks))
     for number in range(come.cycles):
         now = START + number * come.period
         played.at, played.who, points = come.pose(number, now), come.who, come.scan(number)

@@ -212,7 +212,6 @@ def test_how_a_flight_ended_is_told_before_its_numbers_are_written(
         (["policy=none", GOAL, "system=0"], "system must be"),
         (["policy=none", GOAL, "autopilot=ros2:///odom", "signing_key_file=k"], "udp://:14540 with signing_key_file"),
         (["policy=none", GOAL, "hull.radius=0"], "hull.radius must be above 0, got 0"),
-        (["policy=none", GOAL, "shield=true"], "the shield is one of the guards, so write guards=[shield]."),
         (["policy=none", GOAL, "guards=typo"], "There is no guard 'typo'; the guards are map, evasion, shield"),
         (["policy=none", GOAL, "guards=[map,typo]"], "There is no guard 'typo'; the guards are map, evasion, shield"),
         (["policy=none", GOAL, "guards.shield.margin=-1"], "guards.shield.margin must be at least 0, got -1"),

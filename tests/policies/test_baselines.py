@@ -125,18 +125,20 @@ def test_with_headway_a_gap_bounds_the_speed_towards_it_and_free_air_bounds_noth
     ahead = directions[:, 0] > 0.9
     costs = dataclasses.replace(COSTS["range_image", "proximity"], obstacle=0.0, caution=0.0, headway=0.7)
 
-    def forward(distance: float, last: float = 0.0, **told: bool) -> float:
+    def forward(distance: float, last: float = 0.0, hull: float = 0.35, **told: bool) -> float:
         cells = ((4.0 - distance) * ahead.float())[None]
         state = {"faces": cells, "heading_deg": torch.zeros(1, 1), "altitude": torch.full((1, 1), 3.5)}
         state |= {"observation": torch.tensor([[last, 0.0, 0.0, 0.0]])}
-        rule = VectorFieldHistogram(reduction="range_image", costs=costs, **told)  # type: ignore[arg-type]
+        airframe = {"collision_radius": hull}
+        rule = VectorFieldHistogram(reduction="range_image", costs=costs, airframe=airframe, **told)  # type: ignore[arg-type]
         action = rule(TensorDict(state, [1]))["action"][0, :3]
-        gap = distance - 0.35 - 0.12 - 0.3 * 2.0 * last * directions[ahead, 0]
+        gap = distance - hull - 0.12 - 0.3 * 2.0 * last * directions[ahead, 0]
         assert bool((directions[ahead] @ action <= gap.clamp_min(0) / 0.7 + 1e-3).all()) or distance >= 2.5
         return float(action[0])
 
     assert forward(4.0) == forward(2.6) == pytest.approx(2.0)
     assert forward(1.2) == pytest.approx(0.73 / 0.7, abs=0.05)
+    assert forward(1.2, hull=0.65) == pytest.approx(0.43 / 0.7, abs=0.05)
     assert forward(1.2, last=1.0, last_action=True) == pytest.approx(0.13 / 0.7, abs=0.1)
     assert forward(0.4) == pytest.approx(0.0, abs=1e-5)
 
@@ -180,7 +182,7 @@ def test_policy_vfh_has_the_costs_of_what_it_sees(seen: tuple[Reduction, str]) -
     told = {"flight_level": 3.0, "radius": 5.0, "reduction": reduction, "statistic": statistic, "frames": 3}
     rule = named_policy("vfh", told, ())
     assert isinstance(rule, VectorFieldHistogram)
-    assert (rule.costs, rule.flight_level, rule.radius) == (COSTS[seen], 3.0, 5.0)  # type: ignore[index]
+    assert (rule.costs, rule.vehicle.flight_level, rule.radius) == (COSTS[seen], 3.0, 5.0)  # type: ignore[index]
 
 
 def test_without_costs_it_says_what_to_choose() -> None:

@@ -71,7 +71,6 @@ def test_a_preset_gives_its_name_and_what_differs_from_it_is_added(changes: list
 
 
 def test_the_packaged_policies_have_the_name_of_their_method() -> None:
-    """Their configurations name a preset that is called otherwise today."""
     for name in ("best", "best_dynamic"):
         choices = load_config(PACKAGED / name / "config.yaml").choices
         assert label({str(key): str(choice) for key, choice in choices.items()}) == "TD3-BC"

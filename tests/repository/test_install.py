@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shlex
@@ -109,13 +110,13 @@ def test_the_makefile_asks_for_what_the_package_asks_for() -> None:
     assert os.access(ROOT / ".ci/check_python", os.X_OK)
 
 
-def requirements(*extras: str) -> list[Requirement]:
-    """What ``pip install 'uavrl[EXTRAS]'`` asks for, extras of extras included."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+def requirements(*extras: str, folder: Path = ROOT) -> list[Requirement]:
+    """What ``pip install 'PACKAGE[EXTRAS]'`` asks for, extras of extras included."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
     asked = [*map(Requirement, project["dependencies"])]
     for extra in extras:
         for found in map(Requirement, project["optional-dependencies"][extra]):
-            asked += requirements(*found.extras) if found.name == "uavrl" else [found]
+            asked += requirements(*found.extras, folder=folder) if found.name == project["name"] else [found]
     return asked
 
 
@@ -136,11 +137,48 @@ def test_all_but_the_simulator_installs_where_it_has_no_wheels() -> None:
         assert {"torch", "torchrl", "hydra-core"} <= jetson
 
 
+def test_all_but_cyclone_dds_installs_where_it_has_no_wheels() -> None:
+    flies = requirements("all", folder=ROOT / "onboard")
+    linux, mac = {"sys_platform": "linux"}, {"sys_platform": "darwin", "platform_machine": "arm64"}
+    for machine, left_out in (
+        ({**linux, "platform_machine": "x86_64"}, set()),
+        ({**linux, "platform_machine": "aarch64"}, {"cyclonedds"}),
+        (mac, set()),
+    ):
+        installed = {r.name for r in flies if r.marker is None or r.marker.evaluate(machine)}
+        assert {r.name for r in flies} - installed == left_out, machine
+
+
+IMPORTED_AS = {
+    **{"yaml": "pyyaml", "hydra": "hydra-core", "sklearn": "scikit-learn", "PIL": "pillow"},
+    **{"pydantic_core": "pydantic", "onnx_ir": "onnxscript"},  # one release of the former fits one of the latter
+}
+OF_THE_USER = {"stable_baselines3"}  # opens the models of a user who has it
+
+
+@pytest.mark.parametrize(("folder", "package"), [(ROOT, "uavrl"), (ROOT / "onboard", "uavrl_onboard")])
+def test_each_library_that_is_imported_is_declared(folder: Path, package: str) -> None:
+    extras = tomllib.loads((folder / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    declared = {r.name for r in requirements(*extras.keys() - {"dev", "docs"}, folder=folder)}
+    if package == "uavrl":
+        declared |= {r.name for r in requirements("pages", folder=ROOT / "onboard")}
+    imported = set()
+    for path in (folder / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+            imported |= {name.partition(".")[0] for name in names}
+    libraries = imported - sys.stdlib_module_names - {"uavrl", "uavrl_onboard"} - OF_THE_USER
+    assert libraries > {"numpy", "pydantic"}
+    undeclared = {IMPORTED_AS.get(each, each).replace("_", "-") for each in libraries} - declared
+    assert not undeclared
+
+
 def test_the_light_install_brings_neither_simulator_nor_trainer() -> None:
     light = {r.name for r in requirements()}
     assert light == {
         *("uavrl-onboard", "torch", "torchrl", "tensordict"),
-        *("numpy", "scipy", "safetensors", "sortedcontainers"),
+        *("numpy", "scipy", "pydantic", "omegaconf", "pyyaml", "safetensors", "sortedcontainers"),
     }
     sim = {r.name for r in requirements("sim")} - light
     assert sim == {"pybullet", "pybullet-arm64", "embreex", "gymnasium", "trimesh", "pypcd4"}

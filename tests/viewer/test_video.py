@@ -15,7 +15,7 @@ from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.evaluation.recording import Recording
 from uavrl.viewer import video
-from uavrl.viewer.scene import Body, Pose, Scene, View, rgb
+from uavrl.viewer.scene import Body, BodyPose, SceneRenderer, View, rgb
 from uavrl.viewer.video import FORMATS, Film, Format, title, write_video
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.pages.shapes import BODY, GOAL
@@ -30,9 +30,9 @@ def recording() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def scene(recording: Recording) -> Scene:
+def scene(recording: Recording) -> SceneRenderer:
     square = Mesh([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]], [[0, 1, 2], [0, 2, 3]])
-    return Scene(recording.scenery(recording.flights[0]), [Body.of([(square, "#0000ff")])])
+    return SceneRenderer(recording.scenery(recording.flights[0]), [Body.of([(square, "#0000ff")])])
 
 
 @pytest.mark.parametrize("width", [None, 12.0])
@@ -47,7 +47,7 @@ def test_a_point_on_the_ray_of_a_pixel_is_seen_in_that_pixel(width: float | None
     assert (view.pixels(view.eye - 5 * (view.target - view.eye)[None], SIZE)[1] <= 0).all()
 
 
-def test_what_is_seen_straight_below_is_the_ground_of_the_valley(recording: Recording, scene: Scene) -> None:
+def test_what_is_seen_straight_below_is_the_ground_of_the_valley(recording: Recording, scene: SceneRenderer) -> None:
     place = recording.scenery(recording.flights[0])
     start = recording.flights[0].positions[0]
     ground = HeightField(place.heights, (float(place.size[0]), float(place.size[1]))).at(start[None, :2])[0]
@@ -55,13 +55,13 @@ def test_what_is_seen_straight_below_is_the_ground_of_the_valley(recording: Reco
     assert below == pytest.approx(start[2] - ground, abs=0.02)
 
 
-def test_a_body_hides_what_is_behind_it_and_not_what_is_in_front(recording: Recording, scene: Scene) -> None:
+def test_a_body_hides_what_is_behind_it_and_not_what_is_in_front(recording: Recording, scene: SceneRenderer) -> None:
     start = recording.flights[0].positions[0].astype(float)
     view = View(start, start - np.array([0.0, 0.0, 1.0]), up=(1.0, 0.0, 0.0))  # down at the ground
     facing_up = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
     empty, depth = scene.picture(view, [], SIZE)
-    above, near = scene.picture(view, [Pose(0, start - np.array([0, 0, 1.5]), facing_up)], SIZE)
-    under, same = scene.picture(view, [Pose(0, start - np.array([0, 0, 50.0]), facing_up)], SIZE)
+    above, near = scene.picture(view, [BodyPose(0, start - np.array([0, 0, 1.5]), facing_up)], SIZE)
+    under, same = scene.picture(view, [BodyPose(0, start - np.array([0, 0, 50.0]), facing_up)], SIZE)
     middle = np.s_[28:36, 44:52]
     np.testing.assert_allclose(near[middle], 1.5, rtol=0.01)
     assert (above[middle][..., 2] > 0.5).all() and (above[middle][..., :2] < 0.01).all()

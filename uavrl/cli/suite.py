@@ -167,11 +167,12 @@ def _is_of_run(result: Mapping[str, Any], settings: EvaluateConfig) -> bool:
 
 
 def _changed(settings: EvaluateConfig) -> float:
-    """When the policy was written, 0 for one that no file holds."""
+    """When the policy or its statistics were written, 0 for one that no file holds."""
     folder = policy_folder(settings.run, settings.policy)
     if folder is None:
-        named = file_of_policy(str(settings.policy), settings.packages)
-        return 0.0 if named is None else named.stat().st_mtime
+        files = [file_of_policy(str(settings.policy), settings.packages)]
+        files += [Path(settings.vecnormalize)] if settings.vecnormalize is not None else []
+        return max(0.0 if file is None else file.stat().st_mtime for file in files)
     if settings.checkpoint is None and POLICY.is_in(folder):
         return (folder / POLICY.json).stat().st_mtime
     from uavrl.evaluation.actor import checkpoint_path

@@ -98,6 +98,7 @@ class FlyingConfig:
     packages: tuple[Text, ...] = ()
     run: Folder | None = None
     policy: str | None = None
+    vecnormalize: Folder | None = None
     checkpoint: Folder | None = None
     seed: Seed = 20_000
     valleys: FlownValleys = "unseen"
@@ -110,7 +111,9 @@ class FlyingConfig:
     progress: bool = True
 
     def __post_init__(self) -> None:
-        """Checks the names and the settings of guards."""
+        """Checks the names and the settings of guards, and what only a model of Stable-Baselines3 has."""
+        fits = self.vecnormalize is None or (self.policy or "").endswith(".zip")
+        require(fits, "vecnormalize", "left out unless policy=MODEL.zip is given", self.vecnormalize)
         guard_settings(self.guards, GuardSettings.all())
 
 

@@ -94,7 +94,7 @@ def choose(
         require_valley(settings.env, settings.choices, "policy")
         context = {**settings.perception, "flight_level": settings.env.world.flight_level}
         context["airframe"] = settings.env.get("airframe")
-        policy = named_policy(str(settings.policy), context, settings.packages)
+        policy = named_policy(str(settings.policy), context, settings.packages, settings.vecnormalize)
         settings = _as_contracted(policy, settings, config, overrides)
         parts = (settings.env, settings.perception, settings.reward, settings.choices)
         chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
@@ -306,12 +306,14 @@ def load_policy(
     return loaded
 
 
-def named_policy(name: str, told: Mapping[str, Any], packages: Sequence[str]) -> TensorDictPolicy:
+def named_policy(
+    name: str, told: Mapping[str, Any], packages: Sequence[str], vecnormalize: str | None = None
+) -> TensorDictPolicy:
     """A policy that is no run: a baseline, a ``.zip`` of Stable-Baselines3, or a ``PACKAGE.MODULE.CLASS``.
 
     Of ``told``, ``flight_level``, ``airframe`` and what perception says (``radius``, …), a baseline is given what its
     constructor names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
-    ``stable_baselines3``. A folder is one that ``uavrl-export`` wrote.
+    ``stable_baselines3``; ``vecnormalize`` is the file of its statistics. A folder is one that ``uavrl-export`` wrote.
     """
     from uavrl.policy_protocol import as_policy
 
@@ -323,7 +325,7 @@ def named_policy(name: str, told: Mapping[str, Any], packages: Sequence[str]) ->
         if "stable_baselines3" not in packages:
             trust = "if you trust whoever made it, add packages=[stable_baselines3] to the command"
             raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
-        return as_policy(StableBaselinesPolicy(name))
+        return as_policy(StableBaselinesPolicy(name, vecnormalize))
     own: dict[str, Any] = {}
     if name not in BASELINES and (folder := exported_folder(name)) is not None:
         target, own = EXPORTED, {"folder": folder}

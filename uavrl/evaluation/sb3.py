@@ -3,46 +3,41 @@
 from __future__ import annotations
 
 import json
-import logging
 import pickle
 import re
 import zipfile
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 
 from uavrl.errors import UavrlError
 
-log = logging.getLogger(__name__)
 # What makes the policy. Nothing else of the file is unpickled: schedules and buffers break with other versions most.
 NEEDED = ("policy_class", "observation_space", "action_space", "policy_kwargs")
 LIBRARIES = ("Stable-Baselines3", "Numpy")  # as system_info.txt calls them
-# No state of the valley has so many negative numbers: altitude, goal angles and last action, at most 7 of 39.
-NEGATIVE = 0.2
-UNTOUCHED = 0.8  # of a last observation's numbers: so many are nearer to 0 than to what VecNormalize makes of 0
-STATISTICS = ("vecnormalize.pkl", "vec_normalize.pkl")  # as RL Zoo and Stable-Baselines3's documentation call them
 
 
 class StableBaselinesPolicy:
     """Acts as the model in a ``.zip`` of ``model.save`` does without noise: any whose file names its policy.
 
     It reads ``observation``, so it was trained on ``gymnasium.make("uavrl:uavrl/Valley-v0")`` or on what equals it.
-    Opening the file runs whatever program it holds: open none that you do not trust.
+    Opening the file, or the statistics, runs whatever program it holds: open none that you do not trust.
 
-    A model that has learned in a ``VecNormalize`` needs its statistics, a pickle too: ``vecnormalize.pkl`` or
-    ``vec_normalize.pkl`` beside the file, or what ``CheckpointCallback`` wrote with it. Whether there was one shows in
-    the last observation, which the file keeps: an empty cell reads 0, and less once its mean was taken off.
+    Args:
+        path: the model.
+        vecnormalize: the statistics of a model that was trained in a ``VecNormalize``, which ``VecNormalize.save`` or
+            ``CheckpointCallback(save_vecnormalize=True)`` wrote. None: the model reads observations as they are. The
+            ``.zip`` does not record which of the two holds.
 
     Raises:
         UavrlError: where Stable-Baselines3 is missing, the file is none of its models, cannot be opened by the versions
-            that are installed, lacks its statistics, or its state has another width.
+            that are installed, or has a recurrent policy; where the statistics are those of something else; and when
+            the observation has another width.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, vecnormalize: str | Path | None = None) -> None:
         try:
             import stable_baselines3  # noqa: F401
         except ImportError as error:
@@ -54,10 +49,17 @@ class StableBaselinesPolicy:
             with zipfile.ZipFile(path) as archive:
                 stored = json.loads(archive.read("data"))  # what it says of the model: pickles stay texts
             self._policy = _policy(path, stored)
+            self._policy.set_training_mode(False)
+            _, state = self._policy.predict(self._policy.observation_space.sample(), deterministic=True)
         except Exception as error:  # whatever its pickles raise
             raise UavrlError(_cannot_be_opened(path, error)) from error
-        self._policy.set_training_mode(False)
-        self._statistics = _statistics(path, stored, self._policy.observation_space.shape)
+        if state is not None:
+            raise UavrlError(
+                f"{path} has a recurrent policy, whose state an evaluation would not keep: choose a model without one, "
+                f"or wrap it in a class of your own that keeps it (policy=PACKAGE.MODULE.CLASS)."
+            )
+        width = self._policy.observation_space.shape
+        self._statistics = None if vecnormalize is None else _statistics(Path(vecnormalize), width)
 
     def __call__(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``observation``."""
@@ -105,46 +107,12 @@ def _cannot_be_opened(path: Path, error: Exception) -> str:
     )
 
 
-def _statistics(path: Path, stored: dict[str, Any], width: tuple[int, ...]) -> Any:
-    """The ``VecNormalize`` by which a model sees; None for one that sees observations as they are."""
-    of_checkpoint = re.sub(r"_(\d+_steps)$", r"_vecnormalize_\1", path.stem) + ".pkl"
-    beside = [path.with_name(name) for name in (of_checkpoint, *STATISTICS)]
-    file = next((file for file in beside if file.is_file()), None)
-    last = _last_observation(stored)
-    if file is None:
-        if last is not None and (last < 0).mean() > NEGATIVE:
-            raise UavrlError(
-                f"{path} has learned from observations that VecNormalize had changed: put the statistics that "
-                f"VecNormalize.save wrote beside it as {STATISTICS[0]}."
-            )
-        return None
-    found = _normalizer(file, width)
-    if last is not None and _untouched(last, found):
-        log.warning("%s is left out: %s has learned from observations as they are.", file, path.name)
-        return None
-    return found
-
-
-def _untouched(last: np.ndarray, normalizer: Any) -> bool:
-    """Whether an observation is as the valley gives it, and not as a ``VecNormalize`` would have changed it."""
-    empty = normalizer.normalize_obs(np.zeros(last.shape[-1], np.float32))
-    telling = np.abs(empty) > 0.05
-    return bool(telling.any() and (np.abs(last - empty) > np.abs(last))[..., telling].mean() > UNTOUCHED)
-
-
-def _last_observation(stored: dict[str, Any]) -> np.ndarray | None:
-    """The last one of a training, ``[vehicles, width]``; None where there was none, or it cannot be unpickled here."""
-    from stable_baselines3.common.save_util import json_to_data
-
-    with suppress(Exception):  # whatever its pickle raises
-        last = json_to_data(json.dumps({"_last_obs": stored["_last_obs"]}))["_last_obs"]
-        return np.asarray(last, np.float64) if isinstance(last, np.ndarray) else None
-    return None
-
-
-def _normalizer(file: Path, width: tuple[int, ...]) -> Any:
+def _statistics(file: Path, width: tuple[int, ...]) -> Any:
+    """The ``VecNormalize`` in a file."""
     from stable_baselines3.common.vec_env import VecNormalize
 
+    if not file.is_file():
+        raise UavrlError(f"vecnormalize={file} is no file: give the one that VecNormalize.save wrote.")
     try:
         found = pickle.loads(file.read_bytes())
         fits = isinstance(found, VecNormalize) and found.observation_space.shape == width

@@ -71,7 +71,7 @@ class Imitation(ActorPenalty):
         >>> loss = Imitation(DDPGLoss(Mod(Actor(6, 2), ["observation"], ["action"]), critic), limit=2.0)
         >>> batch = TensorDict({"observation": torch.zeros(5, 6), "demonstrator_action": torch.ones(5, 2)}, [5])
         >>> sorted(loss.actor_loss(batch)[1])
-        ['guide_distance', 'state_action_value_actor']
+        ['demonstrator_distance', 'state_action_value_actor']
     """
 
     learns_from_single_steps = False
@@ -143,4 +143,4 @@ class Imitation(ActorPenalty):
                 "write it while episodes are collected, see uavrl.transforms.demonstrator.Demonstrator."
             )
         distance = action_distance(acted.get(self.tensor_keys.action), scripted, self.limit)
-        return self.weight * distance, {"guide_distance": distance.detach()}
+        return self.weight * distance, {"demonstrator_distance": distance.detach()}

@@ -52,7 +52,7 @@ def search(
     """
     base, geometric, util = load_ompl()
 
-    class Lines(base.MotionValidator):  # type: ignore[name-defined]
+    class StraightLines(base.MotionValidator):  # type: ignore[name-defined]
         def checkMotion(self, first: Any, second: Any) -> bool:
             ends = np.array([[each[0], each[1], each[2]] for each in (first, second)])
             return bool(obstacles.free(ends[:1], ends[1:])[0])
@@ -69,7 +69,7 @@ def search(
     space.setBounds(bounds)
     about = base.SpaceInformation(space)
     about.setStateValidityChecker(valid)
-    about.setMotionValidator(Lines(about))
+    about.setMotionValidator(StraightLines(about))
     about.setup()
     problem, ends = base.ProblemDefinition(about), (space.allocState(), space.allocState())
     for state, place in zip(ends, (start, end), strict=True):

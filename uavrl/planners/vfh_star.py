@@ -49,7 +49,7 @@ class VFHStarWeights:
     brake: float = 0.5  #: s, share of the free way that it flies in a second; it could stop in twice that
 
 
-class Lines(NamedTuple):
+class LineClearances(NamedTuple):
     """What lies on lines from S starts in D directions, ``[S, D]`` each."""
 
     threat: Tensor  #: how near the nearest obstacle is, beside the line and ahead, in [0, 1]
@@ -58,7 +58,7 @@ class Lines(NamedTuple):
 
 def look_along(
     points: Tensor, starts: Tensor, directions: Tensor, costs: VFHStarWeights, hull: Hull = VEHICLE.hull
-) -> Lines:
+) -> LineClearances:
     """What the hull of one vehicle would meet on straight lines, each obstacle enlarged by the hull and a distance.
 
     Source: Ulrich and Borenstein (1998), VFH+: an obstacle at distance d fills all directions within
@@ -89,8 +89,8 @@ def look_along(
     soon = along.div_(-costs.reach).add_(1).clamp_min_(0).pow_(costs.soon)
     threat = side.mul_(soon).masked_fill_(behind, 0)
     if not len(points):
-        return Lines(began[..., 0] * 0, torch.full_like(began[..., 0], costs.reach))
-    return Lines(threat.amax(-1), free.amin(-1).clamp_max(costs.reach))
+        return LineClearances(began[..., 0] * 0, torch.full_like(began[..., 0], costs.reach))
+    return LineClearances(threat.amax(-1), free.amin(-1).clamp_max(costs.reach))
 
 
 class VFHStar(Planner):
@@ -158,14 +158,14 @@ class VFHStar(Planner):
         self._flown = way
         return speed * way, seen.turn
 
-    def _look(self, points: list[Tensor], starts: Tensor, directions: Tensor) -> Lines:
+    def _look(self, points: list[Tensor], starts: Tensor, directions: Tensor) -> LineClearances:
         """What lies on lines from ``starts [N, S, D, 3]``: ``[N * S, D]``, vehicle by vehicle, which a cache holds."""
         each = [
             look_along(*pair, directions, self.costs, self.vehicle.hull) for pair in zip(points, starts, strict=True)
         ]
-        return Lines(*(torch.cat(told) for told in zip(*each, strict=True)))
+        return LineClearances(*(torch.cat(told) for told in zip(*each, strict=True)))
 
-    def _cost(self, lines: Lines, directions: Tensor, goal: Tensor, height: Tensor, before: Tensor) -> Tensor:
+    def _cost(self, lines: LineClearances, directions: Tensor, goal: Tensor, height: Tensor, before: Tensor) -> Tensor:
         """What each direction costs, ``[B, D]``.
 
         Source: Baumann (2018), section 3.1, and Ulrich and Borenstein (2000), VFH*, for the cost of a change.
@@ -210,7 +210,7 @@ class VFHStar(Planner):
             place, ahead = place + step * way, ahead + self.costs.discount**depth * least.view_as(ahead)
         return ahead.repeat_interleave(each, 1)
 
-    def _blended(self, cost: Tensor, lines: Lines) -> tuple[Tensor, Tensor]:
+    def _blended(self, cost: Tensor, lines: LineClearances) -> tuple[Tensor, Tensor]:
         """The way, a unit vector ``[N, 3]``, and the speed ``[N, 1]``, of the best direction and its neighbours."""
         costs, far = self.costs, ~self._close[cost.argmin(-1)]
         weight = torch.softmax((-SHARPNESS / costs.goal * cost).masked_fill(far, -math.inf), -1)

@@ -7,6 +7,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from uavrl.envs.limits import OrMapping, settings
+from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import UavrlError
 from uavrl.policy_protocol import PolicyModule
 from uavrl.transforms.numpy_boundary import call_numpy
@@ -32,7 +34,6 @@ BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
 # Of a controller that keeps headway, as the shield:
 LAG = Shield.lag  # s until a commanded velocity is flown
-KEPT = VEHICLE.radius + Shield.margin  # m from the sensor to the hull, and a margin
 CORRECTIONS = 10  # of a velocity, after which it is halved where it is still 0.1 m/s too fast
 
 
@@ -140,10 +141,11 @@ class VectorFieldHistogram(PolicyModule):
         costs: None for those that were chosen for this reduction and statistic; there are none for some.
         last_action: whether the observation ends with the last action, likewise.
         motion: how far moving objects are looked for, likewise; None: it is not told of any.
-        max_speed: limit of each component of the velocity, m/s. Above 2 m/s a direction is flown so fast that the
-            vehicle could stop before whatever a cell around it shows.
         grid: where the cells of a range image are, likewise. Cells of another grid than the default's weigh so much
             that a scan that is full everywhere costs the same, for which the costs were chosen.
+        max_speed: limit of each component of the velocity, m/s. Above 2 m/s a direction is flown so fast that the
+            vehicle could stop before whatever a cell around it shows.
+        airframe: whose hull it assumes; None for the default one.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -166,6 +168,7 @@ class VectorFieldHistogram(PolicyModule):
         motion: float | None = None,
         grid: RangeGrid | None = None,
         max_speed: float = VEHICLE.velocity_limit,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and (reduction, statistic) not in COSTS:
@@ -185,7 +188,8 @@ class VectorFieldHistogram(PolicyModule):
         self.in_keys += ["moving_objects", "velocity", "attitude"] if motion is not None else []
         self.out_keys = ["action"]
         self.evades = motion is not None
-        self.flight_level, self.radius, self.last_action = flight_level, radius, last_action
+        self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level, max_speed)
+        self.radius, self.last_action = radius, last_action
         self.costs = costs
         self.directions: Tensor
         self._towards: Tensor  # [cells, 3]
@@ -199,7 +203,7 @@ class VectorFieldHistogram(PolicyModule):
             known = _counting(cell_directions(reduction), self.costs.width)
             seen_in *= known.sum(-1, keepdim=True) / seen_in.sum(-1, keepdim=True)
         self.register_buffer("_seen_in", seen_in, persistent=False)
-        self.max_speed, self.nearness = max_speed, statistic != "range"
+        self.nearness = statistic != "range"
         self._ahead: Tensor  # [D, cells]: 1 for the cells around a direction, and next to 0
         ahead = (DIRECTIONS @ cell_directions(reduction, grid).T > AHEAD).float().clamp_min(1e-3)
         self.register_buffer("_ahead", ahead, persistent=False)
@@ -219,12 +223,12 @@ class VectorFieldHistogram(PolicyModule):
     def _allowed(self, tensordict: TensorDictBase) -> Tensor:
         """How fast the vehicle may fly towards each cell, so that it keeps its headway: ``[N, cells]`` in m/s."""
         distance = self.radius - tensordict["faces"]
-        gap = distance - KEPT
+        gap = distance - (self.vehicle.radius + Shield.margin)
         if self.last_action:  # what is flown until the command acts
-            flown = self.max_speed * tensordict["observation"][..., -4:-1]
+            flown = self.vehicle.velocity_limit * tensordict["observation"][..., -4:-1]
             gap = gap - LAG * (flown @ self._towards.T).clamp_min(0)
-        seen = (tensordict["faces"] > 0) & (distance < sight_at(Shield.sight, self.max_speed))
-        speeds = call_numpy(closing_speeds, gap.clamp_min(0), self.costs.headway, self.max_speed)
+        seen = (tensordict["faces"] > 0) & (distance < sight_at(Shield.sight, self.vehicle.velocity_limit))
+        speeds = call_numpy(closing_speeds, gap.clamp_min(0), self.costs.headway, self.vehicle.velocity_limit)
         return torch.where(seen, speeds, math.inf)
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
@@ -237,7 +241,7 @@ class VectorFieldHistogram(PolicyModule):
         costs, heading = self.costs, torch.deg2rad(tensordict["heading_deg"])  # [N, 1]
         x, y, z = self.directions.T
         in_the_way = (tensordict["faces"] / self.radius) ** costs.nearness @ self._seen_in.T
-        off_level = (tensordict["altitude"] + NOMINAL * z - self.flight_level).abs()
+        off_level = (tensordict["altitude"] + NOMINAL * z - self.vehicle.flight_level).abs()
         cost = (
             costs.obstacle * in_the_way
             + costs.goal * (1 - x * heading.cos() - y * heading.sin())
@@ -252,12 +256,13 @@ class VectorFieldHistogram(PolicyModule):
 
     def _fastest(self, cells: Tensor) -> Tensor | float:
         """How fast each direction may be flown where nothing is in its way, m/s: ``[N, D]``, or the limit."""
-        if self.max_speed <= NOMINAL:
-            return self.max_speed
+        limit = self.vehicle.velocity_limit
+        if limit <= NOMINAL:
+            return limit
         near = self.radius - cells if self.nearness else torch.where(cells == 0, self.radius, cells)
-        free = (near[:, None] / self._ahead).amin(-1) - VEHICLE.radius - CLEAR  # [N, D]
+        free = (near[:, None] / self._ahead).amin(-1) - self.vehicle.radius - CLEAR  # [N, D]
         reached = DECELERATION * ((REACTION**2 + 2 * free.clamp_min(0) / DECELERATION).sqrt() - REACTION)
-        return reached.clamp(NOMINAL, self.max_speed)
+        return reached.clamp(NOMINAL, limit)
 
     def to_action(self, cost: Tensor, speed: Tensor, heading_deg: Tensor) -> Tensor:
         """The action ``[N, 4]`` of the cheapest direction, of ``cost`` and ``speed [N, D]``, turning slowly to it.

@@ -6,7 +6,9 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
+from uavrl.envs.limits import OrMapping
 from uavrl.envs.privileged import planes_told
+from uavrl.envs.quadrotor import Airframe
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.reduction import Statistic
@@ -38,6 +40,7 @@ class PrivilegedVFH(VectorFieldHistogram):
         planes: whether it is told of planes.
         max_speed: limit of each component of the velocity, m/s.
         grid: where the cells of a range image are, likewise.
+        airframe: whose hull it reckons with; None for the default one.
 
     Examples:
         A dead end lies before the goal, and the way leads to the left:
@@ -61,11 +64,13 @@ class PrivilegedVFH(VectorFieldHistogram):
         planes: bool = True,
         grid: RangeGrid | None = None,
         max_speed: float = VEHICLE.velocity_limit,
+        airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         told = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and told == "proximity":
             costs = replace(COSTS[reduction, told], caution=CAUTION, headway=HEADWAY)
-        super().__init__(flight_level, radius, reduction, statistic, costs, last_action, None, grid, max_speed)
+        seen = (flight_level, radius, reduction, statistic, costs, last_action)
+        super().__init__(*seen, motion=None, grid=grid, max_speed=max_speed, airframe=airframe)
         self.in_keys = [*("way" if key == "heading_deg" else key for key in self.in_keys)]
         self.in_keys += ["planes", "velocity", "attitude"] if planes else []
         self.evades = planes

@@ -20,7 +20,6 @@ _NAMES = {
 }
 _AROUND = ("recurrent", "fork", "lifeguard", "actor_penalty", "smoothness")
 _PRESETS = {"dagger": "DAgger", "td3_bc": "TD3-BC"}  # those that stand for a method
-_RENAMED = {"best": "td3_bc"}  # presets that older runs name, the packaged policies among them
 _OF_A_METHOD = ("algo", *_AROUND, "cloning", "backward_reward", "reward")
 
 
@@ -35,7 +34,6 @@ def label(choices: Mapping[str, str]) -> str:
         'TD3-LG + ABR⁺, Eq. 3.6'
     """
     preset = choices.get("preset", NONE)
-    preset = _RENAMED.get(preset, preset)
     if preset in _PRESETS:
         usual = _of_preset(preset)
         own = [key for key in _OF_A_METHOD if choices.get(key, NONE) != usual.get(key, NONE)]

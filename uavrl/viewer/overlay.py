@@ -8,7 +8,7 @@ import numpy as np
 
 from uavrl.errors import extras
 from uavrl.evaluation.recording import RecordedFlight, Scenery
-from uavrl.viewer.scene import Scene, View, rgb
+from uavrl.viewer.scene import SceneRenderer, View, rgb
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.pages.shapes import BODY, GOAL, shell
 
@@ -145,7 +145,7 @@ class CellsPanel:
 class MapPanel:
     """The valley from above, with the path so far."""
 
-    def __init__(self, scene: Scene, place: Scenery, width: int) -> None:
+    def __init__(self, scene: SceneRenderer, place: Scenery, width: int) -> None:
         long, wide = (float(length) for length in place.size)
         self.size = (width, round(width * wide / long))
         eye, middle = np.array([0.0, 0.0, 20.0]), np.zeros(3)

@@ -94,7 +94,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Pose:
+class BodyPose:
     """The place of a body: its origin ``[3]`` in m and its rotation ``[3, 3]`` from its own to the valley's axes."""
 
     body: int
@@ -102,7 +102,7 @@ class Pose:
     rotation: np.ndarray
 
 
-class Scene:
+class SceneRenderer:
     """A valley and bodies that move in it, as pictures.
 
     Args:
@@ -131,7 +131,7 @@ class Scene:
         origins = np.broadcast_to(np.asarray(origin, np.float32), directions.shape)
         return np.asarray(self._static.run(origins, directions, output=1)["tfar"])
 
-    def picture(self, view: View, poses: Sequence[Pose], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    def picture(self, view: View, poses: Sequence[BodyPose], size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Return a picture ``float32 [H, W, 3]`` from 0 to 1, and how far along its ray each pixel is, in m."""
         width, height = size
         rows, columns = (axis.ravel() for axis in np.mgrid[:height, :width])
@@ -145,7 +145,7 @@ class Scene:
         return picture, depth
 
     def _colours(
-        self, origins: np.ndarray, directions: np.ndarray, poses: Sequence[Pose]
+        self, origins: np.ndarray, directions: np.ndarray, poses: Sequence[BodyPose]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Colours ``[R, 3]`` of rays, and the distances ``[R]`` in m, few at a time for the cache."""
         starts = range(0, len(directions), CHUNK)
@@ -153,7 +153,9 @@ class Scene:
         colours, distances = zip(*parts, strict=True) if parts else (np.zeros((1, 0, 3)), np.zeros((1, 0)))
         return np.concatenate(colours), np.concatenate(distances)
 
-    def _few(self, origins: np.ndarray, directions: np.ndarray, poses: Sequence[Pose]) -> tuple[np.ndarray, np.ndarray]:
+    def _few(
+        self, origins: np.ndarray, directions: np.ndarray, poses: Sequence[BodyPose]
+    ) -> tuple[np.ndarray, np.ndarray]:
         hits = self._static.run(origins, directions, output=1)
         distances, triangles = hits["tfar"], hits["primID"]
         met = triangles >= 0
@@ -172,7 +174,7 @@ class Scene:
         return colours, distances
 
     def _add(
-        self, pose: Pose, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray, distances: np.ndarray
+        self, pose: BodyPose, origins: np.ndarray, directions: np.ndarray, colours: np.ndarray, distances: np.ndarray
     ) -> None:
         """Draws a body over what is behind it; its rays are cast in its own axes."""
         offsets = pose.position.astype(np.float32) - origins

@@ -17,7 +17,7 @@ from uavrl.evaluation.recording import RecordedFlight, Recording
 from uavrl.runs.episodes import SAID
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.viewer.overlay import INK, NEAR, PAPER, Canvas, CellsPanel, Lines, MapPanel, nearness, rgba, ring
-from uavrl.viewer.scene import Body, Pose, Scene, View, rgb
+from uavrl.viewer.scene import Body, BodyPose, SceneRenderer, View, rgb
 from uavrl_onboard.files import replacing
 from uavrl_onboard.geometry import heading_vector, yaw_rotation
 from uavrl_onboard.mesh import Mesh
@@ -125,7 +125,7 @@ class Film:
         self.format, self._flight = form, recording.flights[0]
         self._place = recording.scenery(self._flight)
         plane = Mesh(self._place.plane_vertices, self._place.plane_triangles)
-        self._scene = Scene(self._place, [Body.of(vehicle()), Body.of([(plane, PLANE)])])
+        self._scene = SceneRenderer(self._place, [Body.of(vehicle()), Body.of([(plane, PLANE)])])
         self._title = title(recording, self._flight)
         end = float(self._flight.times[-1])
         self._times = np.append(np.arange(0.0, end, 1 / form.rate), end)
@@ -173,7 +173,7 @@ class Film:
         flight, size = self._flight, self.format.size
         (place,), (rotation,) = self._path.at(np.array([time]))
         step = self._path.step(time)
-        poses = [Pose(VEHICLE_BODY, place, rotation), *self._planes(time, step)]
+        poses = [BodyPose(VEHICLE_BODY, place, rotation), *self._planes(time, step)]
         picture, depth = self._scene.picture(view, poses, size)
         self._add_goal(picture, depth, view)
         self._add_points(picture, depth, view, step)
@@ -193,14 +193,14 @@ class Film:
         self._map.add(canvas, flown, rotation, flight, colour)
         return np.asarray(Image.alpha_composite(canvas.picture, canvas.over()).convert("RGB"))
 
-    def _planes(self, time: float, step: int) -> list[Pose]:
+    def _planes(self, time: float, step: int) -> list[BodyPose]:
         planes, following = self._flight.planes, min(step + 1, len(self._flight.times) - 1)
         part = self._path.part(time)
         poses = []
         for before, after in zip(planes[step], planes[following], strict=True):
             stays = np.abs(after[:3] - before[:3]).max() < 2.0  # others have left and come back elsewhere
             place = before[:3] + (part * (after[:3] - before[:3]) if stays else 0.0)
-            poses.append(Pose(PLANE_BODY, place, yaw_rotation(before[3])))
+            poses.append(BodyPose(PLANE_BODY, place, yaw_rotation(before[3])))
         return poses
 
     def _add_goal(self, picture: np.ndarray, depth: np.ndarray, view: View) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
-from uavrl_onboard.flight.health import Doubts
+from uavrl_onboard.flight.health import FlightHealth
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.safety import Reason, SafetyState, SafetyStatus
 from uavrl_onboard.lidar.scans import Scan
@@ -28,8 +28,8 @@ def cycle(
 
 
 def told(*cycles: FlightCycle) -> list[str]:
-    doubts = Doubts(lambda: "the test says so.", 10.0)
-    return [sentence for each in cycles for sentence in doubts.of(each)]
+    health = FlightHealth(lambda: "the test says so.", 10.0)
+    return [sentence for each in cycles for sentence in health.sentences(each)]
 
 
 @pytest.mark.parametrize("rate", [9.0, 10.0, 10.2])
@@ -112,8 +112,8 @@ def test_scans_whose_stamp_is_steadily_old_have_a_cause(age: float) -> None:
     header = "is header.stamp that of the first point? It must be that of the last one."
     waits = "look at the processor's load, and at what holds packets up on their way."
     for stamped, cause in ((True, header), (False, waits)):
-        doubts = Doubts(lambda: "", 10.0, stamped=stamped)
-        assert [sentence for each in cycles for sentence in doubts.of(each)] == [asks + cause]
+        health = FlightHealth(lambda: "", 10.0, stamped=stamped)
+        assert [sentence for each in cycles for sentence in health.sentences(each)] == [asks + cause]
 
 
 @pytest.mark.parametrize("age", [0.0, 0.03, 0.07])
@@ -132,7 +132,7 @@ def test_poses_whose_stamp_is_steadily_old_have_a_cause() -> None:
 
 
 def test_what_is_odd_about_scans_and_their_source_is_told_once() -> None:
-    doubts = Doubts(lambda: "", 10.0, remarks=lambda: ["Two senders."])
+    health = FlightHealth(lambda: "", 10.0, remarks=lambda: ["Two senders."])
     cycles = [replace(cycle(0.1 * number, WALL), doubt="no return has ever come: why?") for number in range(5)]
-    said = [sentence for each in cycles for sentence in doubts.of(each)]
+    said = [sentence for each in cycles for sentence in health.sentences(each)]
     assert said == ["Two senders.", "No return has ever come: why?"]

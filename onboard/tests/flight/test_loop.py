@@ -25,9 +25,9 @@ from uavrl_onboard.flight.summary import FlightSummary
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.guards.shield import Shield
-from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.scans import Scan
+from uavrl_onboard.lidar.udp_scans import UdpScans
 from uavrl_onboard.lidar.vlp16 import firing_directions
 from uavrl_onboard.vehicle import Vehicle
 

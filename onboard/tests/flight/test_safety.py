@@ -19,7 +19,7 @@ from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, Safet
 START = 100.0  # of the clock, s
 
 
-class Flight:
+class SteppedLayer:
     """Steps a safety layer ten times a second; what is not said otherwise is as it should be."""
 
     def __init__(self, limits: SafetyLimits | None = None) -> None:
@@ -45,8 +45,8 @@ class Flight:
 
 
 @pytest.fixture
-def flying() -> Flight:
-    flight = Flight()
+def flying() -> SteppedLayer:
+    flight = SteppedLayer()
     assert flight.steps(12)[-1].state is SafetyState.FLYING
     return flight
 
@@ -57,7 +57,7 @@ def names(statuses: list[SafetyStatus]) -> list[tuple[str, str]]:
 
 
 def test_nothing_is_sent_before_all_rules_have_held_for_a_second() -> None:
-    flight = Flight()
+    flight = SteppedLayer()
     started = [*flight.steps(3, scan_age=None), *flight.steps(12, in_control=False), *flight.steps(1)]
     assert names(started) == [
         ("silent", "no_scan"),
@@ -88,7 +88,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("reason", FAULTS)
-def test_a_broken_rule_stops_the_vehicle_at_once_and_is_named(flying: Flight, reason: Reason) -> None:
+def test_a_broken_rule_stops_the_vehicle_at_once_and_is_named(flying: SteppedLayer, reason: Reason) -> None:
     status = flying.step(**FAULTS[reason])
     assert (status.state, status.reason, status.changed) == (SafetyState.HOLDING, reason, True)
     assert status.setpoint == ZEROS
@@ -96,7 +96,7 @@ def test_a_broken_rule_stops_the_vehicle_at_once_and_is_named(flying: Flight, re
 
 
 @pytest.mark.parametrize("reason", [reason for reason in FAULTS if reason is not Reason.CLOCK])
-def test_zeros_for_half_a_second_and_then_silence(flying: Flight, reason: Reason) -> None:
+def test_zeros_for_half_a_second_and_then_silence(flying: SteppedLayer, reason: Reason) -> None:
     statuses = flying.steps(8, **FAULTS[reason])
     assert [status.setpoint for status in statuses] == [ZEROS] * 5 + [None] * 3
     assert names(statuses) == [("holding", reason), ("silent", reason)]
@@ -114,16 +114,16 @@ def test_zeros_for_half_a_second_and_then_silence(flying: Flight, reason: Reason
         {"action": [0, 1, 0, 1]},
     ],
 )
-def test_what_is_just_within_the_rules_flies(flying: Flight, known: dict[str, Any]) -> None:
+def test_what_is_just_within_the_rules_flies(flying: SteppedLayer, known: dict[str, Any]) -> None:
     assert flying.step(**known).state in (SafetyState.FLYING, SafetyState.FENCED)
 
 
 @pytest.mark.parametrize("action", [(1.0, 2.0), np.zeros((1, 4)), "abcd", [1j, 0, 0, 0], [[1], 2, 3, 4], [10**400] * 4])
-def test_what_is_no_action_is_none(flying: Flight, action: Any) -> None:
+def test_what_is_no_action_is_none(flying: SteppedLayer, action: Any) -> None:
     assert flying.step(action=action).reason is Reason.NO_ACTION
 
 
-def test_a_loop_that_hangs_is_named(flying: Flight) -> None:
+def test_a_loop_that_hangs_is_named(flying: SteppedLayer) -> None:
     flying.cycle += 5
     status = flying.step()
     assert (status.state, status.reason) == (SafetyState.HOLDING, Reason.LATE_CYCLE)
@@ -131,7 +131,7 @@ def test_a_loop_that_hangs_is_named(flying: Flight) -> None:
 
 
 @pytest.mark.parametrize("now", [math.nan, None, START - 3600.0])
-def test_a_clock_that_does_not_run_is_followed_by_silence(flying: Flight, now: Any) -> None:
+def test_a_clock_that_does_not_run_is_followed_by_silence(flying: SteppedLayer, now: Any) -> None:
     statuses = flying.steps(8, now=now)
     assert [status.setpoint for status in statuses] == [ZEROS] * 5 + [None] * 3
     assert names(statuses) == [("holding", "clock"), ("silent", "clock")]
@@ -139,19 +139,19 @@ def test_a_clock_that_does_not_run_is_followed_by_silence(flying: Flight, now: A
     assert flying.steps(13)[-1].state is SafetyState.FLYING
 
 
-def test_after_a_short_fault_the_policy_flies_when_all_rules_have_held_for_a_while(flying: Flight) -> None:
+def test_after_a_short_fault_the_policy_flies_when_all_rules_have_held_for_a_while(flying: SteppedLayer) -> None:
     statuses = [*flying.steps(2, scan_age=0.3), *flying.steps(5)]
     assert names(statuses) == [("holding", "old_scan"), ("holding", "settling"), ("flying", "in_control")]
     assert [status.state is SafetyState.FLYING for status in statuses] == [False] * 5 + [True] * 2
 
 
-def test_a_sensor_that_comes_and_goes_does_not_hold_the_vehicle_for_ever(flying: Flight) -> None:
+def test_a_sensor_that_comes_and_goes_does_not_hold_the_vehicle_for_ever(flying: SteppedLayer) -> None:
     statuses = [flying.step(scan_age=0.3 if tick % 2 == 0 else 0.0) for tick in range(30)]
     assert [status.state for status in statuses[:7]] == [SafetyState.HOLDING] * 6 + [SafetyState.SILENT]
     assert {status.state for status in statuses[6:]} == {SafetyState.SILENT}
 
 
-def test_after_silence_it_takes_a_second_and_a_cycle_of_zeros(flying: Flight) -> None:
+def test_after_silence_it_takes_a_second_and_a_cycle_of_zeros(flying: SteppedLayer) -> None:
     flying.steps(8, scan_age=None)
     statuses = flying.steps(12)
     assert [status.setpoint for status in statuses[:10]] == [None] * 10
@@ -159,13 +159,13 @@ def test_after_silence_it_takes_a_second_and_a_cycle_of_zeros(flying: Flight) ->
     assert statuses[11].state is SafetyState.FLYING
 
 
-def test_when_the_pilot_takes_over_zeros_are_streamed_from_the_next_cycle(flying: Flight) -> None:
+def test_when_the_pilot_takes_over_zeros_are_streamed_from_the_next_cycle(flying: SteppedLayer) -> None:
     status = flying.step(in_control=False)
     assert (status.state, status.reason, status.setpoint) == (SafetyState.STANDBY, Reason.NOT_IN_CONTROL, ZEROS)
     assert flying.step().state is SafetyState.FLYING
 
 
-def test_clip_and_slew(flying: Flight) -> None:
+def test_clip_and_slew(flying: SteppedLayer) -> None:
     flying.steps(3, action=ZEROS)
     status = flying.step(action=(9.0, -9.0, 0.0, 9.0))
     assert status.setpoint == pytest.approx((2.0, -2.0, 0.0, 2.0))
@@ -190,7 +190,7 @@ def test_clip_and_slew(flying: Flight) -> None:
 def test_the_fence_takes_what_leads_out(
     position: tuple[float, ...], yaw: float, action: tuple[float, ...], reason: str, setpoint: tuple[float, ...]
 ) -> None:
-    flight = Flight(SafetyLimits(box=(-10.0, -5.0, 10.0, 5.0)))
+    flight = SteppedLayer(SafetyLimits(box=(-10.0, -5.0, 10.0, 5.0)))
     flight.steps(12)
     status = [flight.step(position=position, yaw=yaw, action=action) for _ in range(2)][-1]
     assert str(status.reason) == reason
@@ -198,7 +198,7 @@ def test_the_fence_takes_what_leads_out(
     assert status.setpoint == pytest.approx(setpoint)
 
 
-def test_a_record_can_be_written_as_json(flying: Flight) -> None:
+def test_a_record_can_be_written_as_json(flying: SteppedLayer) -> None:
     record = json.loads(json.dumps(flying.step().as_dict(), allow_nan=False))
     assert (record["state"], record["reason"], record["setpoint"]) == ("flying", "in_control", [0.5, -0.5, 0.25, 0.1])
     assert record["pose_age"] == pytest.approx(0.02)

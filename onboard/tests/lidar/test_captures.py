@@ -12,7 +12,7 @@ import pytest
 from tests.helpers.measured import measured
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.lidar.pcap import read_pcap, udp_content, write_pcap
+from uavrl_onboard.lidar.pcap import read_datagrams, udp_datagram, write_pcap
 
 HELLO = b"hello"
 UDP = struct.pack(">HHHH", 1, 2, 8 + len(HELLO), 0) + HELLO
@@ -83,13 +83,14 @@ NOT_WHOLE = {
 @pytest.mark.parametrize("name", WHOLE)
 def test_a_packet_comes_out_of_every_link(name: str) -> None:
     link, frame = WHOLE[name]
-    assert udp_content(frame, link) == HELLO
+    datagram = udp_datagram(frame, link)
+    assert datagram is not None and datagram[0] == HELLO
 
 
 @pytest.mark.parametrize("name", NOT_WHOLE)
 def test_what_is_no_whole_packet_is_none(name: str) -> None:
     link, frame = NOT_WHOLE[name]
-    assert udp_content(frame, link) is None
+    assert udp_datagram(frame, link) is None
 
 
 # ---------------------------------------------------------------------- files
@@ -158,7 +159,7 @@ FILES: dict[str, tuple[bytes, list[float]]] = {
 
 def read(path: Path, content: bytes) -> list[tuple[float, bytes]]:
     path.write_bytes(content)
-    return list(read_pcap(path))
+    return [(stamp, content) for stamp, content, _ in read_datagrams(path)]
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -197,7 +198,7 @@ def test_a_length_that_lies_takes_no_memory(name: str, tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(content())
     tracemalloc.start()
     try:
-        assert len(list(read_pcap(tmp_path / "a"))) == packets
+        assert len(list(read_datagrams(tmp_path / "a"))) == packets
         assert tracemalloc.get_traced_memory()[1] < 2**22
     finally:
         tracemalloc.stop()
@@ -230,12 +231,13 @@ def test_options_without_end_come_to_an_end(tmp_path: Path) -> None:
 def test_another_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"text")
     with pytest.raises(UavrlError, match="a is no capture of network traffic: give a pcap or pcapng file"):
-        list(read_pcap(tmp_path / "a"))
+        list(read_datagrams(tmp_path / "a"))
 
 
 def test_what_is_written_comes_back_to_a_microsecond(tmp_path: Path) -> None:
     packets = [(1.7e9 + 0.001327 * number, bytes([number]) * 1206) for number in range(20)]
     write_pcap(tmp_path / "a.pcap", packets)
-    found = list(read_pcap(tmp_path / "a.pcap"))
-    assert [data for _, data in found] == [data for _, data in packets]
-    assert [stamp for stamp, _ in found] == pytest.approx([stamp for stamp, _ in packets], rel=0, abs=1e-6)
+    found = list(read_datagrams(tmp_path / "a.pcap"))
+    assert [data for _, data, _ in found] == [data for _, data in packets]
+    assert {sender for _, _, sender in found} == {"192.168.1.201:2368"}
+    assert [stamp for stamp, _, _ in found] == pytest.approx([stamp for stamp, _ in packets], rel=0, abs=1e-6)

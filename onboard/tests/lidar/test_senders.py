@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from tests.helpers.ports import free_ports
 
-from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.pcap import read_datagrams, write_pcap
 from uavrl_onboard.lidar.senders import OneSender
 from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.udp_scans import UdpScans
 from uavrl_onboard.lidar.vlp16 import firing_directions
 
 OURS, ADDRESS = bytes([192, 168, 1, 201]), "192.168.1.201:2368"

@@ -17,7 +17,7 @@ from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, s
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.geometry import is_return
 from uavrl_onboard.lidar import bags, sources
-from uavrl_onboard.lidar.pcap import read_pcap
+from uavrl_onboard.lidar.pcap import read_datagrams
 from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
 from uavrl_onboard.lidar.udp import address, read_udp
 
@@ -162,7 +162,7 @@ def test_a_long_file_takes_little_memory(tmp_path: Path) -> None:
             tracemalloc.stop()
 
     assert most(20) < 1.3 * most(6)
-    assert sources.PACKET_SIZE == 1206 and len(list(read_pcap(captured(tmp_path)))) == len(PACKETS)
+    assert sources.PACKET_SIZE == 1206 and len(list(read_datagrams(captured(tmp_path)))) == len(PACKETS)
 
 
 def test_clouds_that_are_not_in_a_sensor_s_frame_are_refused(tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ def test_an_address_names_a_domain_and_a_topic(monkeypatch: pytest.MonkeyPatch) 
 
 def test_without_cyclonedds_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cyclonedds.core", None)
-    with pytest.raises(UavrlError, match=r"cyclonedds: pip install 'uavrl-onboard\[ros2\]', or build it"):
+    with pytest.raises(UavrlError, match=r"cyclonedds: pip install 'uavrl-onboard\[ros2\]'\. On Linux for ARM"):
         Ros2Scans()
 
 

@@ -15,7 +15,7 @@ from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.flight.check import OBSERVED, Evidence, Item, Level, Listener, Setup, everywhere, observe
 from uavrl_onboard.flight.check_items import judge
-from uavrl_onboard.flight.health import Doubts
+from uavrl_onboard.flight.health import FlightHealth
 from uavrl_onboard.flight.loop import Flight
 from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.guards.settings import GuardSettings
@@ -88,8 +88,8 @@ def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evid
     more: dict[str, Any] = {"radius": settings.radius, "box": settings.box, "guards": guards, "moves": moves}
     flight = Flight(policy, settings.goal, listener, layer, **more)
     remarks = {"stamped": stamped, "remarks": feed.remarks}
-    doubts = Doubts(feed.trouble, 1.0 / flight.period, settings.safety.pose_age, **remarks)
-    evidence = Evidence(setup, flight, doubts)
+    health = FlightHealth(feed.trouble, 1.0 / flight.period, settings.safety.pose_age, **remarks)
+    evidence = Evidence(setup, flight, health)
     observe(evidence, listener)
     return evidence
 

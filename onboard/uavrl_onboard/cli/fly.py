@@ -19,12 +19,12 @@ from uavrl_onboard.cli.command import About, command
 from uavrl_onboard.cli.flight_end import conclude, until_the_end, writes
 from uavrl_onboard.cli.flight_lines import FlightLines
 from uavrl_onboard.cli.lidar_keys import LidarKeys
-from uavrl_onboard.cli.nonblocking_output import beside
+from uavrl_onboard.cli.nonblocking_output import nonblocking_output
 from uavrl_onboard.cli.process import terminable
 from uavrl_onboard.cli.ros2_keys import ROS2, Ros2Config, ros2_feed, ros2_link, ros2_reports
 from uavrl_onboard.errors import Stopped, UavrlError
 from uavrl_onboard.files import writable
-from uavrl_onboard.flight.health import Doubts
+from uavrl_onboard.flight.health import FlightHealth
 from uavrl_onboard.flight.interfaces import FlightCycle, VehicleLink
 from uavrl_onboard.flight.limits import SafetyLimits, outside_fence
 from uavrl_onboard.flight.log import FlightLog
@@ -33,8 +33,8 @@ from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.flight.summary import FlightSummary
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
-from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.udp_scans import UdpScans
 from uavrl_onboard.policy.policy import Policy
 from uavrl_onboard.ranges import Folder, NonNegative, Positive
 from uavrl_onboard.sentences import require
@@ -160,7 +160,7 @@ def main(settings: FlyConfig) -> None:
         if numbers is not None:
             opened.push(writes(summary, numbers))  # comes last
         if settings.is_live:
-            opened.enter_context(beside())
+            opened.enter_context(nonblocking_output())
         link = opened.enter_context(closing(open_link(settings)))
         guards = make_guards(settings, policy)
         layer, moves = SafetyLayer(settings.safety), settings.autopilot is not None
@@ -244,16 +244,16 @@ def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: Exit
     if not settings.is_live:
         source = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
         opened.callback(_tell_skipped, source)
-        return _doubted(rehearse(flight, source, link), Doubts(lambda: "", 1.0 / flight.period))
+        return _with_health(rehearse(flight, source, link), FlightHealth(lambda: "", 1.0 / flight.period))
     feed = opened.enter_context(closing(open_feed(settings, link)))
-    doubts = Doubts(
+    health = FlightHealth(
         feed.trouble,
         1.0 / flight.period,
         settings.safety.pose_age,
         stamped=settings.lidar.startswith(ROS2),
         remarks=feed.remarks,
     )
-    return _doubted(fly(flight, feed, link), doubts)
+    return _with_health(fly(flight, feed, link), health)
 
 
 def _tell_skipped(source: ScanSource) -> None:
@@ -281,11 +281,11 @@ def _reports(settings: FlyConfig, policy: Policy, link: VehicleLink, opened: Exi
     return opened.enter_context(reports).tell
 
 
-def _doubted(cycles: Iterable[FlightCycle], doubts: Doubts) -> Iterator[FlightCycle]:
-    """The same cycles; tells what is odd about their scans and poses."""
+def _with_health(cycles: Iterable[FlightCycle], health: FlightHealth) -> Iterator[FlightCycle]:
+    """The same cycles; prints what is odd about their scans and poses."""
     for cycle in cycles:
         yield cycle
-        for sentence in doubts.of(cycle):
+        for sentence in health.sentences(cycle):
             print(sentence, flush=True)
 
 

@@ -18,14 +18,14 @@ WAITING = 1000  # pieces of text that may wait for a terminal; what comes then i
 _LONGEST_END = 1.0  # s that the end waits for it
 
 
-class _Beside(io.TextIOBase):
+class _NonblockingStream(io.TextIOBase):
     """Takes text in no time; a thread writes it to a stream."""
 
     def __init__(self, stream: TextIO) -> None:
         stream.flush()
         self._stream, self._ended = stream, False
         self._queue: Queue[str | None] = Queue(WAITING)
-        self._thread = Thread(target=self._work, name="telling", daemon=True)
+        self._thread = Thread(target=self._work, name="nonblocking output", daemon=True)
         self._thread.start()
 
     def write(self, text: str) -> int:
@@ -59,9 +59,9 @@ class _Beside(io.TextIOBase):
 
 
 @contextmanager
-def beside() -> Iterator[None]:
+def nonblocking_output() -> Iterator[None]:
     """Lets threads write what is printed and logged within the block."""
-    out, err = _Beside(sys.stdout), _Beside(sys.stderr)
+    out, err = _NonblockingStream(sys.stdout), _NonblockingStream(sys.stderr)
     logs = [each for each in logging.root.handlers if getattr(each, "stream", None) is sys.stderr]
     handlers = [cast("logging.StreamHandler[TextIO]", each) for each in logs]
     before = [handler.setStream(cast(TextIO, err)) for handler in handlers]

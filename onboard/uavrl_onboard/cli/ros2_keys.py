@@ -1,4 +1,4 @@
-"""The keys of ROS 2, and the stages of a flight that they make."""
+"""The keys of ROS 2, and the links, feeds and reports that they make."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Ros2Config:
     markers: bool = False
 
 
-# The stages need a library that few have, so they are imported where they are used.
+# These need a library that few have, so they are imported where they are used.
 
 
 def ros2_link(address: str, keys: Ros2Config) -> Ros2Vehicle | Px4Ros2:

@@ -19,7 +19,7 @@ import numpy as np
 from uavrl_onboard.autopilot.frames import Pose
 from uavrl_onboard.autopilot.vehicle_state import Control, VehicleStatus
 from uavrl_onboard.enums import StrEnum
-from uavrl_onboard.flight.health import UNHEARD, Doubts
+from uavrl_onboard.flight.health import UNHEARD, FlightHealth
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
 from uavrl_onboard.flight.limits import SafetyLimits
 from uavrl_onboard.flight.loop import Flight, fly
@@ -140,7 +140,7 @@ class Evidence:
     Args:
         setup: what is to be flown.
         flight: the one into nothing.
-        doubts: told of each cycle.
+        health: told of each cycle.
 
     Attributes:
         cycles: of the flight.
@@ -152,8 +152,8 @@ class Evidence:
         clock_step: by how much that has changed, s.
     """
 
-    def __init__(self, setup: Setup, flight: Flight, doubts: Doubts) -> None:
-        self.setup, self.flight, self.doubts = setup, flight, doubts
+    def __init__(self, setup: Setup, flight: Flight, health: FlightHealth) -> None:
+        self.setup, self.flight, self.health = setup, flight, health
         self.cycles: list[FlightCycle] = []
         self.statuses: list[VehicleStatus] = []
         self.scan_rules: list[SafetyStatus] = []
@@ -178,7 +178,7 @@ class Evidence:
         """
         self.cycles.append(cycle)
         self.statuses.append(heard)
-        self.doubts.of(replace(cycle, control=heard))
+        self.health.sentences(replace(cycle, control=heard))
         self._first_clock = clock if self._first_clock is None else self._first_clock
         self.clock, self.clock_step = clock, max(self.clock_step, abs(clock - self._first_clock))
         now, doubt, age = cycle.time, self.flight.doubt, cycle.status.scan_age

@@ -69,7 +69,7 @@ def check_goal(evidence: Evidence) -> Item:
 
 def check_scans(evidence: Evidence) -> Item:
     """Scans come, often enough and in time."""
-    scans, told = evidence.scans, evidence.doubts.told
+    scans, told = evidence.scans, evidence.health.told
     if not scans:
         return Item("scans", FAIL, f"No scan has come in {evidence.seconds:.0f} s: {evidence.setup.feed.trouble()}")
     level, sentence = evidence.broken(evidence.scan_rules, evidence.settled(scans[0].time), _SCANS)
@@ -118,8 +118,8 @@ def check_view(evidence: Evidence) -> Item | None:
     _, sentence = evidence.broken(evidence.scan_rules, evidence.settled(began), [Reason.HALF_SCAN, Reason.ODD_RANGES])
     if sentence:
         return Item("field of view", FAIL, f"{_capital(sentence)}.")
-    if "doubt" in evidence.doubts.told:
-        return Item("field of view", WARN, evidence.doubts.told["doubt"])
+    if "doubt" in evidence.health.told:
+        return Item("field of view", WARN, evidence.health.told["doubt"])
     summary, heights = ScanSummary(keep=1), []
     for cycle in evidence.scans:
         assert cycle.scan is not None
@@ -182,7 +182,7 @@ def check_body(evidence: Evidence) -> Item | None:
 
 def check_clock(evidence: Evidence) -> Item:
     """Stamps and this computer's clock run, and show the time."""
-    told, now = evidence.doubts.told, _wall(evidence)
+    told, now = evidence.health.told, _wall(evidence)
     day = datetime.fromtimestamp(now, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
     steps = [sentence for name, sentence in evidence.warnings if name == _CLOCKS]
     old = [told[kind] for kind in ("old scans", "old poses") if kind in told]
@@ -263,7 +263,7 @@ def check_position(evidence: Evidence) -> Item | None:
     if setup.link is None:
         return None
     if not poses:
-        told = evidence.doubts.told.get("late poses", "No position and attitude have come.")
+        told = evidence.health.told.get("late poses", "No position and attitude have come.")
         return Item("position", FAIL, told)
     _, sentence = evidence.broken(evidence.pose_rules, evidence.settled(poses[0].stamp), _POSES)
     sentence = sentence or evidence.flight.disagreement or ""
@@ -291,7 +291,7 @@ def check_pose_ages(evidence: Evidence) -> Item | None:
         return None
     level, sentence = evidence.broken(evidence.pose_rules, evidence.settled(poses[0].stamp), _POSE_AGES)
     if sentence:
-        return Item("pose age", level, evidence.doubts.told.get("late poses", f"{_capital(sentence)}."))
+        return Item("pose age", level, evidence.health.told.get("late poses", f"{_capital(sentence)}."))
     ages = [1000.0 * (cycle.time - cycle.pose.stamp) for cycle in evidence.cycles if cycle.pose is not None]
     median, late = np.percentile(ages, [50, 99])
     at_most = f"{1000.0 * setup.limits.pose_age:.0f} ms are allowed"

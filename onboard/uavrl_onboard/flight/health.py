@@ -49,8 +49,8 @@ class _Spell:
         return self._latest - self._begun if told else None
 
 
-class Doubts:
-    """Looks at a flight's cycles.
+class FlightHealth:
+    """Takes in the cycles of a flight and says in sentences what is odd about them.
 
     Args:
         trouble: says why no scan has come, as a sentence's second half.
@@ -83,8 +83,8 @@ class Doubts:
         self._pose_ages: deque[float] = deque(maxlen=_POSES_LOOKED_AT)
         self.told: dict[str, str] = {}
 
-    def of(self, cycle: FlightCycle) -> list[str]:
-        """The sentences that are new."""
+    def sentences(self, cycle: FlightCycle) -> list[str]:
+        """Take in a cycle and return the sentences that are new."""
         found = dict(self._found(cycle))
         new = {kind: sentence for kind, sentence in found.items() if kind not in self.told}
         late = [*self._late_scans(cycle), *self._late_poses(cycle)]

@@ -40,7 +40,7 @@ _FLIES = (SafetyState.FLYING, SafetyState.FENCED)
 
 
 class Flight:
-    """The stages of one vehicle's flight to a goal.
+    """One vehicle's flight to a goal: policy, guards, safety layer and checks, from a scan and a pose to a set-point.
 
     While the safety layer does not let the policy fly, each scan is to the policy the first of an episode, so that it
     takes off from where it stands as it has learned to. Its last action is what the vehicle was sent. At the goal the
@@ -220,7 +220,7 @@ def fly(
     """Flies in real time: a cycle with each scan, and one without where none comes in time. It does not end by itself.
 
     Args:
-        flight: the stages.
+        flight: of the vehicle, with its policy and its link.
         feed: of scans, stamped on the same clock.
         link: of the flight, to read what the vehicle says.
         clock: in s.

@@ -52,7 +52,7 @@ class _Slice(NamedTuple):
     points: np.ndarray  # [n, 2] in the axes of the yaw, m, one in each cell with a return
 
 
-class Motion(NamedTuple):
+class Displacement(NamedTuple):
     """How a vehicle moved from one scan to another, in the axes of the yaw at the first one."""
 
     forward: float  #: m
@@ -119,7 +119,7 @@ class ScanMotion:
         if len(before.points) < FEWEST or abs(shift[2]) > HALF_HEIGHT or np.linalg.norm(shift) > FARTHEST:
             return
         forward, left = world_to_yaw(shift[:2], before.yaw).tolist()
-        told = Motion(forward, left, math.remainder(now.yaw - before.yaw, math.tau))
+        told = Displacement(forward, left, math.remainder(now.yaw - before.yaw, math.tau))
         share, other, found = _shares(before.points, now.points, told)
         is_against = other >= FITS and share <= other - BETTER
         if is_against or share >= AGREES:
@@ -152,7 +152,7 @@ def _index(points: np.ndarray) -> np.ndarray:
     return index
 
 
-def _shares(before: np.ndarray, now: np.ndarray, told: Motion) -> tuple[float, float, Motion]:
+def _shares(before: np.ndarray, now: np.ndarray, told: Displacement) -> tuple[float, float, Displacement]:
     """Return which share of the earlier returns lies on later ones as the pose moved, the best otherwise, and how.
 
     Where the former is so great that no other motion can be better, none is tried.
@@ -173,11 +173,11 @@ def _shares(before: np.ndarray, now: np.ndarray, told: Motion) -> tuple[float, f
         if shares.max() > other:
             best = int(shares.argmax())
             forward, left = yaw_to_world(CELL * shifts[best], turn).tolist()
-            other, found = float(shares[best]), Motion(forward, left, turn)
+            other, found = float(shares[best]), Displacement(forward, left, turn)
     return share, other, found
 
 
-def _rounded(told: Motion, turn: float) -> np.ndarray:
+def _rounded(told: Displacement, turn: float) -> np.ndarray:
     """Return the shift of a motion in the axes after a turn, in whole cells."""
     shift = world_to_yaw(np.array([told.forward, told.left]), turn)
     return np.round(shift / CELL).astype(np.int64)
@@ -201,7 +201,7 @@ def _laid(points: np.ndarray, near: np.ndarray, shifts: np.ndarray, turn: float)
     return shares
 
 
-def _why(told: Motion, found: Motion, seconds: float) -> str:
+def _why(told: Displacement, found: Displacement, seconds: float) -> str:
     what = f"in {seconds:.1f} s the vehicle {told} by its pose, and {found} by its scans"
     if found.distance < _STANDS and abs(found.turn) < _MOVED[1]:
         return f"{what}: does the LiDAR's driver repeat a scan, or is it a recording?"

@@ -8,8 +8,6 @@ from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.guards.settings import NAMES
 
 KEY = "guards"
-_REPLACED = {"shield": "shield", "evade": "evasion", "memory": "map", "perception.memory": "map"}
-_HULL = ("radius", "height", "sensor")
 
 
 def join_guards(arguments: Sequence[str]) -> list[str]:
@@ -19,7 +17,7 @@ def join_guards(arguments: Sequence[str]) -> list[str]:
     text and the second a setting below it.
 
     Raises:
-        UavrlError: for a setting without a guard, and for keys that ``guards=`` has replaced.
+        UavrlError: for a setting without a guard.
 
     Examples:
         >>> join_guards(["policy=best", "guards=[map,shield]", "guards.shield.margin=0.2"])
@@ -31,7 +29,6 @@ def join_guards(arguments: Sequence[str]) -> list[str]:
     for argument in arguments:
         key, _, value = argument.partition("=")
         key = key.lstrip("+")
-        _refuse_replaced(key)
         if key != KEY and not key.startswith(f"{KEY}."):
             kept.append(argument)
             continue
@@ -58,14 +55,3 @@ def _setting(key: str, value: str) -> str:
             f"guards are {', '.join(NAMES)}."
         )
     return f"{{{parts[1]}: {{{parts[2]}: {value}}}}}"
-
-
-def _refuse_replaced(key: str) -> None:
-    """Refuse the keys that guards had before there was one key for all of them."""
-    if key in _REPLACED:
-        name = _REPLACED[key]
-        raise UavrlError(f"There is no key {key!r}: the {name} is one of the guards, so write guards=[{name}].")
-    group, _, below = key.partition(".")
-    if group == "shield":
-        right = f"hull.{below}" if below in _HULL else f"guards.shield.{below}"
-        raise UavrlError(f"There is no key {key!r}: the shield is one of the guards, so write {right}.")

@@ -33,12 +33,6 @@ def _dpkt(name: str) -> Any:
     return getattr(needed(f"dpkt.{module}", "A capture of network traffic", "lidar"), kind)
 
 
-def read_pcap(path: Path) -> Iterator[tuple[float, bytes]]:
-    """Yield the time in seconds and the content of each UDP packet of a capture, as of ``read_datagrams``."""
-    for stamp, content, _ in read_datagrams(path):
-        yield stamp, content
-
-
 def read_datagrams(path: Path) -> Iterator[tuple[float, bytes, str]]:
     """Yield the time in seconds, the content and the sender of each UDP packet of a capture.
 
@@ -122,12 +116,6 @@ def _interface(body: bytes, order: str) -> _Interface:
     return _Interface(struct.unpack(order + "H", body[:2])[0], unit, offset)
 
 
-def udp_content(frame: bytes, link: int) -> bytes | None:
-    """Return what the UDP packet in a captured frame carries, as :func:`udp_datagram`."""
-    datagram = udp_datagram(frame, link)
-    return None if datagram is None else datagram[0]
-
-
 def udp_datagram(frame: bytes, link: int) -> tuple[bytes, str] | None:
     """Return what the UDP packet in a captured frame carries, and its sender; None unless there is a whole one.
 
@@ -168,8 +156,8 @@ def write_pcap(path: Path, packets: Iterable[tuple[float, bytes]], port: int = P
         >>> import tempfile
         >>> file = Path(tempfile.mkdtemp()) / "a.pcap"
         >>> write_pcap(file, [(1.5, b"hello")])
-        >>> list(read_pcap(file))
-        [(1.5, b'hello')]
+        >>> list(read_datagrams(file))
+        [(1.5, b'hello', '192.168.1.201:2368')]
     """
     ethernet, ip, udp = _dpkt("ethernet.Ethernet"), _dpkt("ip.IP"), _dpkt("udp.UDP")
     with replacing(path) as partial, partial.open("wb") as file:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from uavrl_onboard.guards.evade import OTHERS
+from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.perception.cells import Statistic
 from uavrl_onboard.perception.motion import OBJECT
 from uavrl_onboard.perception.motion.sight import LARGEST_SIZE
+from uavrl_onboard.perception.motion.threats import PERIOD, STEPS
+from uavrl_onboard.perception.motion.tracks import CONFIRMED, SPEEDS
 from uavrl_onboard.perception.reductions import Reduction
+from uavrl_onboard.vehicle import DECELERATION, REACTION, VEHICLE
 
 MOMENT = "the cloud and the pose belong to the same moment, and the vehicle flies the action immediately"
 
@@ -69,9 +74,9 @@ OBJECT_NUMBERS = [f"{name} ({_UNITS.get(name.split()[-1], 'm')})" for name in OB
 OBJECT_FRAME = "relative to the sensor, in level axes that are rotated by the yaw only: forward, left, up"
 OBJECTS_FOUND = (
     "MotionSight of uavrl_onboard finds the objects in scans that are motion.period s apart: bodies of at most "
-    f"{LARGEST_SIZE:g} m that move at 1.5 to 8 m/s within motion.max_range m of the sensor, once three scans have "
-    "shown them. You can use any other detector that finds the same moving bodies. It remembers nothing from before "
-    "the episode"
+    f"{LARGEST_SIZE:g} m that move at {SPEEDS[0]:g} to {SPEEDS[1]:g} m/s within motion.max_range m of the sensor, once "
+    f"{CONFIRMED} scans have shown them. You can use any other detector that finds the same moving bodies. It "
+    "remembers nothing from before the episode"
 )
 RAYS = (
     "of the points within max_range, use those for which "
@@ -101,10 +106,15 @@ GUARD_MAP = (
     "ahead m along the path. The grid is empty at the start of an episode"
 )
 GUARD_EVASION = (
-    "a velocity that would meet one of the nearest moving objects within 2 s, if they fly straight on, is replaced by "
-    "the best of 145 others. MotionSight of uavrl_onboard detects the objects up to sight m away"
+    f"a velocity that would meet one of the nearest moving objects within {STEPS * PERIOD:g} s, if they fly straight "
+    f"on, is replaced by the best of {len(OTHERS)} others. MotionSight of uavrl_onboard detects the objects up to "
+    "sight m away"
 )
 GUARD_SHIELD = (
-    "the velocity towards each point of the scan within 2.5 m, except those of moving objects, is at most gap / time. "
-    "The gap is measured from the hull with margin m around it, after lag s of flight at the present velocity"
+    f"the velocity towards each point of the scan within {Shield.sight:g} m, except those of moving objects, is at "
+    "most gap / time. The gap is measured from the hull with margin m around it, after lag s of flight at the present "
+    f"velocity; it is at least 0. Where the limit v in action.high is above {VEHICLE.velocity_limit:g} m/s, points "
+    f"count within {Shield.sight:g} + {REACTION:g} * v + v² / (2 * {DECELERATION:g}) m, and the velocity towards a gap "
+    f"above {DECELERATION:g} * time² is at most sqrt(({DECELERATION:g} * time)² + 2 * {DECELERATION:g} * (gap - "
+    f"{DECELERATION:g} * time²))"
 )

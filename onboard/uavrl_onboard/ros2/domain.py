@@ -26,7 +26,10 @@ def cyclonedds(module: str) -> Any:
     Raises:
         UavrlError: where it is not installed.
     """
-    otherwise = ", or build it on Linux for ARM, where there is no wheel"
+    otherwise = (
+        ". On Linux for ARM, where it has no wheel, install Cyclone DDS, set CYCLONEDDS_HOME, and run pip install "
+        "cyclonedds"
+    )
     return needed(f"cyclonedds.{module}", "ROS 2", "ros2", otherwise)
 
 

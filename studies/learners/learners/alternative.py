@@ -53,7 +53,7 @@ class TwoActions(nn.Module):
         cells, altitude, heading = frame[:, : self.cells], frame[:, [self.cells]], frame[:, [self.cells + 1]]
         seen = {
             "faces": cells * self.controller.radius,
-            "altitude": (altitude + 1) * self.controller.flight_level,
+            "altitude": (altitude + 1) * self.controller.vehicle.flight_level,
             "heading_deg": (180 * heading).remainder(360),
             "observation": frame,
         }

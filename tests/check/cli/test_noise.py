@@ -19,8 +19,8 @@ from uavrl_onboard.autopilot.mavlink import Autopilot
 from uavrl_onboard.flight.loop import Flight, fly
 from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.guards.settings import GuardSettings
-from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.packets import encode_scan
+from uavrl_onboard.lidar.udp_scans import UdpScans
 from uavrl_onboard.lidar.vlp16 import firing_directions
 from uavrl_onboard.vehicle import Vehicle
 

@@ -31,7 +31,7 @@ def grid_graph(shape: tuple[int, ...], weigh: Weigh) -> tuple[coo_array, np.ndar
         >>> graph.toarray()[index[0, 0]].round(2).tolist()
         [0.0, 1.0, 0.0, 1.41]
     """
-    from scipy.sparse import coo_array  # here, since policies that learn import this and need no SciPy
+    from scipy.sparse import coo_array  # here, since SciPy loads in half a second and only a map needs it
 
     index = np.arange(np.prod(shape)).reshape(shape)
     first, second, lengths = [], [], []

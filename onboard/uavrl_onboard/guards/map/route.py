@@ -41,7 +41,7 @@ def route(
         >>> bool(way[:, 1].min() < -1.0), bool(way[:, 1].max() < 0.5)
         (True, True)
     """
-    # here, since what learns imports the transforms and needs no SciPy
+    # Imported here, since SciPy loads in half a second and only a map needs it.
     from scipy.ndimage import distance_transform_edt
     from scipy.sparse.csgraph import dijkstra
 
