@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from uavrl.config import compose, validate
 from uavrl.entries import entry
 from uavrl.errors import UavrlError
-from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.environment import make_env, with_sight
 from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
 from uavrl.models.memory import IS_INIT, RECURRENT_STATE
@@ -130,10 +130,8 @@ class LoadedPolicy(PolicyModule):
         if valleys is not None or unseen:
             run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
         chosen = guard_settings(guards, self.guards)
-        lidar = run.perception.get("lidar")
         check_field_of_view(run.perception, trained_sensor(self.config), run.packages, allowed=allow_unseen)
-        if lidar is not None and chosen.sight is not None and "perception.lidar.far_range" not in keys:
-            run.perception["lidar"] = replace(lidar, far_range=max(lidar.far_range or 0.0, chosen.sight))
+        perception = with_sight(run.perception, chosen, keys)
         context: dict[str, Any] = {
             "packages": run.packages,
             "num_uavs": num_uavs,
@@ -143,4 +141,4 @@ class LoadedPolicy(PolicyModule):
             "recurrent_state": self.recurrent_state,
             "guards": chosen,
         }
-        return make_env(run.env, run.perception, run.reward, **context)
+        return make_env(run.env, perception, run.reward, **context)
