@@ -17,7 +17,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env, with_sight
 from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
-from uavrl.models.memory import IS_INIT, RECURRENT_STATE
+from uavrl.models.memory import IS_INIT, RECURRENT_STATE, RecurrentPolicy
 from uavrl.policy_protocol import PolicyModule
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 
@@ -54,7 +54,7 @@ class LoadedPolicy(PolicyModule):
         self.inputs = inputs
         self.in_keys: list[NestedKey] = list(actor.in_keys)
         self.out_keys: list[NestedKey] = ["action"]
-        self.recurrent_state: tuple[int, int] | None = getattr(actor, "recurrent_state", None)
+        self.recurrent_state = actor.recurrent_state if isinstance(actor, RecurrentPolicy) else None
         if self.recurrent_state is not None:
             self.out_keys.append(("next", RECURRENT_STATE))
         self.actor, self.config, self.source = actor, config, dict(source)

@@ -74,7 +74,7 @@ class PolicySetup:
         return {
             "keep_cloud": "point_cloud" in read,
             "mark_resets": "is_init" in read,
-            "recurrent_state": getattr(self.policy, "recurrent_state", None),
+            "recurrent_state": self.policy.recurrent_state,
             "guards": self.guards,
         }
 
