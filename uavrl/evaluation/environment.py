@@ -1,12 +1,12 @@
-"""The environment of a configuration, and what a network reads and writes there."""
+"""The environment of a configuration."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
-from torchrl.data import Bounded, Unbounded
-from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, TensorDictPrimer, Transform, TransformedEnv
+from torchrl.data import Unbounded
+from torchrl.envs import Compose, EnvBase, InitTracker, TensorDictPrimer, Transform, TransformedEnv
 
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
@@ -16,46 +16,12 @@ from uavrl.envs.privileged import QUANTITIES
 from uavrl.errors import UavrlError
 from uavrl.models.memory import RECURRENT_STATE
 from uavrl.transforms import PointCloudReduction
+from uavrl.transforms.composition import inner_transforms
 from uavrl.transforms.guarded import GOAL_HEADING
-from uavrl.transforms.privileged import PRIVILEGED, Privileged
+from uavrl.transforms.privileged import Privileged
 from uavrl_onboard.guards.settings import GuardSettings
 
 FAR_RANGE = "perception.lidar.far_range"
-
-
-@dataclass(frozen=True)
-class NetworkSizes:
-    """Widths of state and action."""
-
-    state: int  # numbers in the policy's state
-    frames: int  # observations in a state
-    actions: int  # numbers in an action
-    limit: float  # the largest action; the smallest is its negative
-    privileged: int = 0  # numbers that the critics read beside the state
-
-    def action_spec(self, device: torch.device | str) -> Bounded:
-        """The bounds of one action."""
-        return Bounded(-self.limit, self.limit, (self.actions,), device=device, dtype=torch.float32)
-
-
-def network_sizes(env: EnvBase) -> NetworkSizes:
-    """The sizes of an environment with its transforms."""
-    spec = env.action_spec_unbatched
-    limit = float(spec.high.max()) if isinstance(spec, Bounded) else 0.0
-    if not isinstance(spec, Bounded) or not bool((spec.high == limit).all() and (spec.low == -limit).all()):
-        raise UavrlError(f"Expected actions in [-a, a], got {spec}: scale them by a transform.")
-    stacks = [t.N for t in inner_transforms(getattr(env, "transform", None)) if isinstance(t, CatFrames)]
-    width = int(env.observation_spec["observation"].shape[-1])
-    privileged = env.observation_spec.get(PRIVILEGED, None)
-    more = 0 if privileged is None else int(privileged.shape[-1])
-    return NetworkSizes(width, stacks[-1] if stacks else 1, int(spec.shape[-1]), limit, more)
-
-
-def inner_transforms(transform: Transform | None) -> list[Transform]:
-    """The transforms of a composition, in their order."""
-    if isinstance(transform, Compose):
-        return [inner for outer in transform.transforms for inner in inner_transforms(outer)]
-    return [] if transform is None else [transform]
 
 
 def make_env(
