@@ -17,11 +17,11 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env, with_sight
 from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
+from uavrl.evaluation.worlds import FIRST_UNSEEN
 from uavrl.models.memory import IS_INIT, RECURRENT_STATE, RecurrentPolicy
 from uavrl.policy_protocol import PolicyModule
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 
-UNSEEN = 100  # the seed of a valley in which no policy here was trained
 _TAKEN = ("env", "randomize")
 
 
@@ -128,7 +128,7 @@ class LoadedPolicy(PolicyModule):
             require_valley(run.env, run.choices, "valleys")
         unseen = "world" in run.env and run.env.world.VARIES and "env.world.seeds" not in keys
         if valleys is not None or unseen:
-            run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
+            run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [FIRST_UNSEEN]))
         chosen = guard_settings(guards, self.guards)
         check_field_of_view(run.perception, trained_sensor(self.config), run.packages, allowed=allow_unseen)
         perception = with_sight(run.perception, chosen, keys)

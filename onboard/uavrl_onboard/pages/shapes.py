@@ -12,12 +12,9 @@ from uavrl_onboard.perception.cells import (
     icosahedron,
     range_image_middles,
 )
-from uavrl_onboard.vehicle import VEHICLE
+from uavrl_onboard.vehicle import ARM, LIDAR_DIAMETER, LIDAR_HEIGHT, ROTOR_DIRECTIONS, VEHICLE
 
-# The vehicle that is drawn: hector_quadrotor with a Velodyne VLP-16 on top.
-ARM, ROTOR_RADIUS = 0.275, 0.14  # m
-ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-LIDAR_DIAMETER, LIDAR_HEIGHT = 0.103, 0.072  # m
+ROTOR_RADIUS = 0.14  # m
 SPHERE = 3000  # points of a sphere whose cells have no shape of their own
 OUTCOMES = {"arrived": "#009E73", "collided": "#D55E00", "timed_out": "#56B4E9"}  # colours of Okabe and Ito
 ENDED = "#8b949e"
