@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import re
 from graphlib import TopologicalSorter
+from pathlib import Path
 
 import grimp
+
+ROOT = Path(__file__).resolve().parents[2]
 
 # From the top; rooms of one floor do not know each other.
 TRAINS = [
@@ -36,6 +41,11 @@ FLIES = [
     {"ranges", "enums"},
     {"errors"},
 ]
+# Rooms above a module whose classes it names in strings, which are imported when a command line asks for them.
+NAMED_ABOVE = {
+    "uavrl.config.parts": {"training"},
+    "uavrl.evaluation.policies": {"export", "planners", "policies"},
+}
 HEAVY = ("torch", "torchrl", "tensordict", "hydra", "pybullet", "embreex", "gymnasium", "sklearn", "uavrl")
 
 
@@ -52,6 +62,19 @@ def require_floors(package: str, floors: list[set[str]]) -> None:
 
 def test_imports_of_what_trains_run_one_way() -> None:
     require_floors("uavrl", TRAINS)
+
+
+def test_no_other_module_names_a_class_of_a_higher_floor() -> None:
+    floor = {room: number for number, rooms in enumerate(TRAINS) for room in rooms}
+    above: dict[str, set[str]] = {}
+    for path in (ROOT / "uavrl").rglob("*.py"):
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and re.fullmatch(r"uavrl(\.\w+)+\.[A-Z]\w*", str(node.value)):
+                room = str(node.value).split(".")[1]
+                if floor[room] < floor.get(module.split(".")[1], 0):
+                    above.setdefault(module, set()).add(room)
+    assert above == NAMED_ABOVE
 
 
 def test_imports_of_what_flies_run_one_way() -> None:
