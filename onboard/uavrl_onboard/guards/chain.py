@@ -39,9 +39,9 @@ GUARDS: Mapping[str, Callable[[Any, int, Vehicle], Guard]] = {"map": _map, "evas
 class Guards:
     """All guards of N vehicles, in their order.
 
-    With evasion on, motion detection comes first and serves all three: points of moving objects are left out of the map
-    and of the shield's bounds, because evasion handles them. Where an object was while it was not known to move, its
-    cells leave the map.
+    Motion detection comes first and serves all three: points of moving objects are left out of the map and of the
+    shield's bounds, because evasion handles them. Where an object was while it was not known to move, its cells leave
+    the map.
 
     Args:
         settings: which guards are on.
