@@ -13,8 +13,8 @@ from torchrl.collectors import BaseCollector
 from torchrl.envs import EnvBase
 
 from uavrl.config import TrainConfig
-from uavrl.evaluation.actor import make_actor
-from uavrl.evaluation.environment import make_env, network_sizes
+from uavrl.evaluation.environment import make_env
+from uavrl.losses.networks import make_actor, network_sizes
 from uavrl.training.build import make_collector
 
 CPU = torch.device("cpu")

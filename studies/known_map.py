@@ -34,7 +34,7 @@ from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
 from uavrl.envs.place import free_space
 from uavrl.envs.tasks import FlightMap
 from uavrl.evaluation.rollout import rollout_episodes
-from uavrl.evaluation.summary import scenarios
+from uavrl.evaluation.suite import scenarios
 from uavrl.runs.episodes import LETTERS, rate_cell, wilson
 from uavrl.transforms.state import ACTION_LIMIT
 from uavrl_onboard.cli.process import one_sentence

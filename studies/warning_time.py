@@ -24,9 +24,10 @@ from tensordict.nn import TensorDictModule
 
 from uavrl.config import compose, validate
 from uavrl.evaluation.actor import load_actor
-from uavrl.evaluation.environment import make_env, network_sizes
+from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import policy_folder
 from uavrl.losses import LifeGuard, TD3Loss
+from uavrl.losses.networks import network_sizes
 from uavrl.models import Critic
 from uavrl.runs.provenance import versions
 from uavrl.training.build import make_collector

@@ -90,8 +90,8 @@ def wire() -> dict[str, float]:
     import torch
     from tensordict import TensorDict
 
-    from uavrl.evaluation.actor import make_actor
-    from uavrl.evaluation.environment import make_env, network_sizes
+    from uavrl.evaluation.environment import make_env
+    from uavrl.losses.networks import make_actor, network_sizes
     from uavrl.training.build import make_collector
 
     settings = experiment("env.num_uavs=1", "collector=sync")

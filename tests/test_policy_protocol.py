@@ -23,5 +23,8 @@ def test_a_callable_keeps_what_it_offers_and_gets_defaults_for_the_rest() -> Non
 
     reads_a_scan.in_keys = ["scan"]  # type: ignore[attr-defined]
     policy = as_policy(reads_a_scan)
+    assert policy.recurrent_state is None
     policy.flown(np.zeros((1, 4)))
     assert (list(policy.in_keys), list(policy.out_keys), policy.overrides) == (["scan"], ["action"], None)
+    reads_a_scan.recurrent_state = (1, 8)  # type: ignore[attr-defined]
+    assert as_policy(reads_a_scan).recurrent_state == (1, 8), "an environment carries it"

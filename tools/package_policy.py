@@ -22,7 +22,7 @@ import torch
 from tests.helpers.recorded import record_actions
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import PACKAGED
-from uavrl.evaluation.summary import scenarios
+from uavrl.evaluation.suite import scenarios
 from uavrl.export.export import export_policy
 from uavrl.export.model_card import STATEMENTS, write_card
 from uavrl.runs.provenance import commit

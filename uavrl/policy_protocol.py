@@ -23,6 +23,7 @@ class TensorDictPolicy(Protocol):
         has_map: whether it plans on a map of its own, and so needs the heading to the goal itself.
         overrides: the keys of a configuration that it was made for, with their values; None: it was made for none.
         guards: the guards that it flies with by default.
+        recurrent_state: the shape of what it carries from step to step; None for a policy without a memory.
     """
 
     @property
@@ -40,6 +41,9 @@ class TensorDictPolicy(Protocol):
     @property
     def guards(self) -> GuardSettings: ...  # noqa: D102
 
+    @property
+    def recurrent_state(self) -> tuple[int, ...] | None: ...  # noqa: D102
+
     def flown(self, actions: np.ndarray) -> None:
         """Take the actions ``[N, 4]`` that the vehicles fly instead of those that it wrote."""
 
@@ -53,6 +57,7 @@ class PolicyModule(TensorDictModuleBase):
     has_map: bool = False
     overrides: Mapping[str, Any] | None = None
     guards: GuardSettings = GuardSettings()
+    recurrent_state: tuple[int, ...] | None = None
 
     def flown(self, actions: np.ndarray) -> None:
         """Take the actions that the vehicles fly; a policy that does not remember its own ignores them."""
@@ -68,6 +73,7 @@ class AdaptedPolicy:
         self.has_map: bool = getattr(act, "has_map", False)
         self.overrides: Mapping[str, Any] | None = getattr(act, "overrides", None)
         self.guards: GuardSettings = getattr(act, "guards", GuardSettings())
+        self.recurrent_state: tuple[int, ...] | None = getattr(act, "recurrent_state", None)
         self.flown: Callable[[np.ndarray], None] = getattr(act, "flown", lambda actions: None)
 
     def __call__(self, tensordict: TensorDictBase, /) -> TensorDictBase:

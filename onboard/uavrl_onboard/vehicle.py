@@ -11,6 +11,10 @@ from uavrl_onboard.errors import UavrlError
 
 DECELERATION = 5.4  # m/s², level: g tan(0.5 rad), that of the largest tilt
 REACTION = 0.3  # s, until a commanded velocity is flown
+# Of the simulated quadrotor, hector_quadrotor with a Velodyne VLP-16 on top: Meyer et al. (2012).
+ARM = 0.275  # m, from the centre to each rotor's axis
+ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])  # in front, left, at the back, right
+LIDAR_DIAMETER, LIDAR_HEIGHT = 0.103, 0.072  # m
 
 Hull = tuple[float, float]  # m: the radius, and half the height
 Place = tuple[float, float, float]

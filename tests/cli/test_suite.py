@@ -17,7 +17,7 @@ from uavrl.cli.suite import in_worlds_of
 from uavrl.config import EvaluateConfig, validate
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import PACKAGED
-from uavrl.evaluation.summary import scenarios
+from uavrl.evaluation.suite import scenarios
 from uavrl_onboard.values import to_plain
 
 LITTLE = ["policy=straight", "suite=[static,dense]", "episodes=2", "seed=7"]

@@ -26,9 +26,9 @@ from uavrl.config.context import CONTEXT, context_of
 from uavrl.config.parts import PARTS
 from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import UavrlError
-from uavrl.evaluation import actor as actor_module
 from uavrl.evaluation import environment
-from uavrl.evaluation.environment import NetworkSizes
+from uavrl.losses import networks
+from uavrl.losses.networks import NetworkSizes
 from uavrl.training import build as build_module
 from uavrl.training import loggers
 
@@ -139,7 +139,7 @@ def handed_over(monkeypatch: pytest.MonkeyPatch) -> dict[str, set[str]]:
         found.setdefault(str(part[TARGET]), set()).update(context)
         return build(part, kind, packages=packages, key=key, **context)
 
-    for module in (environment, actor_module, build_module, loggers):
+    for module in (environment, networks, build_module, loggers):
         monkeypatch.setattr(module, "build", recorded)
     return found
 
@@ -163,8 +163,8 @@ def test_the_list_is_what_a_run_hands_over(
     environment.make_env(settings.env, settings.perception, settings.reward, **told).close()
     build_module.build(settings.demonstrator, object)
     remembering = validate(small_config(tmp_path / "run", "recurrent=gru"))
-    actor_module.make_memory(remembering, sizes)
-    actor = actor_module.make_actor(settings, sizes)
+    networks.make_memory(remembering, sizes)
+    actor = networks.make_actor(settings, sizes)
     loss = build_module.make_loss(settings, actor, sizes, cpu)
     build_module.make_cloning(settings, loss, sizes, "captured")
     build_module.make_backward_reward(settings, sizes, tmp_path / "artifact")
@@ -193,7 +193,7 @@ def test_the_list_is_what_a_collector_gets(tmp_path: Path, monkeypatch: pytest.M
             self.got = {"create_env_fn", *kwargs}
 
     monkeypatch.setattr(build_module, "collector_class", lambda settings: Collector)
-    actor = actor_module.make_actor(settings, sizes)
+    actor = networks.make_actor(settings, sizes)
     made: Any = build_module.make_collector(settings, lambda: None, actor, sizes, torch.device("cpu"))  # type: ignore[arg-type,return-value]
     assert made.got == set(CONTEXT["collector"])
 

@@ -117,6 +117,8 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(make: Callable[[], object]
     ("make", "said"),
     [
         (lambda: Airframe(mass=-1.0), r"of an airframe must be above 0, got -1.0, \("),
+        (lambda: Airframe(inertia=(1.0, 1.0)), "inertia takes three numbers"),  # type: ignore[arg-type]
+        (lambda: Aerodynamics(force_coefficients=()), "force_coefficients takes three numbers"),  # type: ignore[arg-type]
         (lambda: Airframe(lidar_mass=-1.0), "lidar_mass must not be negative, got -1.0 kg"),
         (lambda: Airframe(mass=0.1 + 0.2, max_total_thrust=1.0), r"airframe of 1.13 kg must lift its weight of 11.1 N"),
         (lambda: Airframe(tilt_limit=2.0), r"tilt_limit must be an angle in \(0, π/2\) rad, got 2.0"),
@@ -126,6 +128,20 @@ def test_what_makes_no_sense_is_refused_in_a_sentence(make: Callable[[], object]
     ],
 )
 def test_a_vehicle_that_cannot_be_is_told_with_its_numbers(make: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: WorldConfig(size=(1e9, 1e9)), "lower size"),
+        (lambda: WorldConfig(seeds=tuple(range(1000))), "give fewer seeds"),
+        (lambda: WorldConfig(planes=10**9), "planes must be at most 100"),
+        (lambda: LidarConfig(max_range=1e30), "max_range must be a positive length in metres, at most"),
+    ],
+)
+def test_what_no_memory_holds_is_refused(make: Callable[[], object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         make()
 

@@ -96,6 +96,13 @@ def test_what_it_does_not_know_is_refused_in_a_sentence(settings: dict[str, Any]
         gymnasium.make(NAME, world=SMALL, **settings)
 
 
+@pytest.mark.parametrize("action", [[1.0, 2.0, 3.0], [[0.0] * 4] * 2, 0.0])
+def test_an_action_of_another_shape_is_refused(env: ValleyEnv, action: object) -> None:
+    env.reset(seed=0)
+    with pytest.raises(UavrlError, match="An action is 4 numbers"):
+        env.step(action)
+
+
 def test_states_are_105_floats_oldest_frame_first_and_earlier_ones_stay_as_they_were(env: ValleyEnv) -> None:
     state, info = env.reset(seed=0)
     assert state.shape == (105,) and state.dtype == np.float32 and env.observation_space.contains(state)

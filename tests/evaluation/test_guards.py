@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,19 @@ def test_a_sensor_that_does_not_reach_as_far_is_refused() -> None:
     seen = validate(compose("perception.lidar.far_range=8")).perception
     assert with_sight(seen, guard_settings(["map", {"map": {"sight": 8.0}}])) == seen
     with pytest.raises(UavrlError, match=r"guards.map.sight=12 looks farther than the LiDAR, which reaches 8 m"):
-        with_sight(seen, guard_settings("map"))
+        make_env(small_env(), seen, guards=guard_settings("map"))
+
+
+def test_a_range_that_nobody_gave_grows_with_what_looks_farther() -> None:
+    overrides = ("perception.motion=15", "perception.lidar.far_range=20")
+    guards, seen = guard_settings(["map"]), validate(compose(*overrides)).perception
+    assert with_sight(seen, guards, given=[])["lidar"].far_range == 20.0, "what a run recorded does not shrink"
+    seen["lidar"] = replace(seen.lidar, far_range=None)
+    assert with_sight(seen, guards, given=[])["lidar"].far_range == 15.0, "perception looks farther than the map"
+    seen["lidar"] = replace(seen.lidar, far_range=13.0)
+    assert with_sight(seen, guards, given=[])["lidar"].far_range == 15.0
+    with pytest.raises(UavrlError, match=r"perception\.motion=15 looks farther than the LiDAR, which reaches 13 m"):
+        with_sight(seen, guards)
 
 
 def test_an_evaluation_flies_with_guards_that_know_the_vehicle_and_look_as_far(

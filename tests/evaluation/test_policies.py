@@ -19,7 +19,7 @@ from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.policies import PACKAGED, default_guards, packaged_policies, with_overrides
 from uavrl.evaluation.rollout import rollout_episodes
-from uavrl.evaluation.summary import scenarios
+from uavrl.evaluation.suite import scenarios
 from uavrl.export.export import contract
 from uavrl.runs.config import load_config
 from uavrl.runs.episodes import LETTERS

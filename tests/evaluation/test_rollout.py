@@ -20,7 +20,8 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from tests.helpers.commands import in_process
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.evaluation.rollout import EpisodeResult, rollout_episodes
-from uavrl.evaluation.summary import suite_table, summarize, table
+from uavrl.evaluation.suite import suite_table
+from uavrl.evaluation.summary import summarize, table
 from uavrl.policies.baselines import StraightPolicy
 from uavrl.runs.provenance import processor, versions
 

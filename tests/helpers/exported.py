@@ -15,8 +15,9 @@ from omegaconf import OmegaConf
 
 from uavrl.config import compose, resolve, validate
 from uavrl.errors import UavrlError
-from uavrl.evaluation.actor import make_actor, saved_sizes
+from uavrl.evaluation.actor import saved_sizes
 from uavrl.export.export import export_policy
+from uavrl.losses.networks import make_actor
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.policy.policy import Policy
 

@@ -1,4 +1,4 @@
-"""The planner by RRT-Connect: its ways, what it keeps of them, its reflex. What it shares: test_rivals.py."""
+"""The planner by RRT-Connect: its ways, what it keeps of them, its reflex. What it shares: test_planners.py."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.planners.test_rivals import flown, grid, scan, seen
+from tests.planners.test_planners import flown, grid, scan, seen
 from uavrl.errors import UavrlError
 from uavrl.planners.ompl_search import filled, length, search
 from uavrl.planners.rrt_connect import EVERY, RRTConnect, RRTConnectWeights

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.planners.test_rivals import grid, scan, seen
+from tests.planners.test_planners import grid, scan, seen
 from uavrl.planners.rrt_connect import EVERY, RRTConnect
 from uavrl.planners.rrt_map import RRTMap
 from uavrl_onboard.perception.cells import LASERS

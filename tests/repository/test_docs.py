@@ -44,6 +44,12 @@ def test_what_a_page_includes_is_there(page: Path) -> None:
         ), name
 
 
+def test_the_tests_that_the_table_of_faults_names_are_there() -> None:
+    named = set(re.findall(r"`(test_\w+)`", (ROOT / "docs/safety_layer.md").read_text(encoding="utf-8")))
+    tests = {path.stem for folder in ("tests", "onboard/tests") for path in (ROOT / folder).rglob("test_*.py")}
+    assert named and named <= tests, named - tests
+
+
 def tracked(folder: str) -> list[Path]:
     """The files below a folder that git keeps."""
     if not (ROOT / ".git").exists():

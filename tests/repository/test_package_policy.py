@@ -19,7 +19,7 @@ from tools import package_policy as tool
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import load_actor
 from uavrl.evaluation.policies import load_policy
-from uavrl.evaluation.summary import scenarios
+from uavrl.evaluation.suite import scenarios
 
 
 @pytest.fixture

@@ -15,9 +15,8 @@ from tests.helpers.exported import exported
 from uavrl.config import validate
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import UavrlError
-from uavrl.evaluation.actor import make_actor
-from uavrl.evaluation.environment import network_sizes
 from uavrl.losses import ActorCriticLoss
+from uavrl.losses.networks import make_actor, network_sizes
 from uavrl.training.build import make_buffer, make_loss, make_training_env, make_windows
 from uavrl.training.replay import EpisodeReplay
 

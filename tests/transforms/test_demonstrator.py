@@ -15,15 +15,15 @@ from tests.helpers.runs import small_config
 from uavrl.config import compose
 from uavrl.config.validation import validate
 from uavrl.errors import UavrlError
-from uavrl.evaluation.actor import make_actor
-from uavrl.evaluation.environment import NetworkSizes, inner_transforms, network_sizes
 from uavrl.losses import ActionRate, ActorPenalty
+from uavrl.losses.networks import NetworkSizes, make_actor, network_sizes
 from uavrl.policies.baselines import VectorFieldHistogram
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import make_buffer, make_loss, make_training_env
 from uavrl.training.progress import warn_of_late_learning
 from uavrl.training.run import create_run, train
 from uavrl.transforms import Mirror
+from uavrl.transforms.composition import inner_transforms
 from uavrl.transforms.demonstrator import DemonstratorEnv
 
 

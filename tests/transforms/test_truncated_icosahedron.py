@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -301,3 +302,17 @@ class TestTransform(OfClouds, TransformContract):
             TruncatedIcosahedron(in_keys=["a", "b"])
         with pytest.raises(KeyError, match="TruncatedIcosahedron reads 'lidar', but the environment emits only"):
             _ = TransformedEnv(CloudEnv(), TruncatedIcosahedron(in_keys=["lidar"])).observation_spec
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: truncated_icosahedron([[1.0, 2.0, 3.0]]), "points must be a tensor .* got a list"),
+        (lambda: truncated_icosahedron(torch.zeros(1, 3), radius=1e30), "radius must be a positive length"),
+        (lambda: truncated_icosahedron(torch.zeros(1, 3), radius="a"), "radius must be a positive length.* got 'a'"),
+        (lambda: TruncatedIcosahedron(radius=None), "radius must be a positive length.* got None"),
+    ],
+)
+def test_arguments_of_another_type_are_refused_in_a_sentence(make: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make()

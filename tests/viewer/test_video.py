@@ -15,10 +15,11 @@ from uavrl.envs.terrain import HeightField
 from uavrl.errors import UavrlError
 from uavrl.evaluation.recording import Recording
 from uavrl.viewer import video
+from uavrl.viewer.colours import GOAL
 from uavrl.viewer.scene import Body, BodyPose, SceneRenderer, View, rgb
 from uavrl.viewer.video import FORMATS, Film, Format, title, write_video
 from uavrl_onboard.mesh import Mesh
-from uavrl_onboard.pages.shapes import BODY, GOAL
+from uavrl_onboard.pages.shapes import BODY
 
 SIZE = (96, 64)
 

@@ -171,7 +171,7 @@ def _checked(overrides: list[str]) -> list[str]:
 
 def _changes(row: str) -> list[str]:
     """The overrides of a scenario of the suite."""
-    from uavrl.evaluation.summary import scenarios
+    from uavrl.evaluation.suite import scenarios
 
     return scenarios([row])[row]
 

@@ -94,8 +94,8 @@ def main(config: DictConfig) -> None:
     from uavrl.evaluation.interventions import intervention_texts
     from uavrl.evaluation.position_stats import position_texts
     from uavrl.evaluation.recording import load_recording, save_recording
-    from uavrl.evaluation.smoothness import aligned, smoothness_texts
-    from uavrl.runs.episodes import SAID
+    from uavrl.evaluation.smoothness import smoothness_texts
+    from uavrl.runs.episodes import SAID, aligned
     from uavrl.training.matmul import matmul_backend
     from uavrl.viewer.flight_page import write_page
     from uavrl.viewer.video import require_libraries, require_one_episode, write_video

@@ -40,7 +40,7 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     Each has a file of its own; one that is there already, of the same policy and tasks, is not made again.
     ``suite.json`` has these and all others of the policy that lie beside them.
     """
-    from uavrl.evaluation.summary import scenarios, suite_table
+    from uavrl.evaluation.suite import scenarios, suite_table
 
     kept = result_overrides(overrides, OWN)
     refuse_worlds(kept, "suite")

@@ -25,10 +25,10 @@ from torchrl.envs import EnvBase
 from uavrl.errors import FlyingEnded, UavrlError
 from uavrl.runs.interrupts import interrupts_held_back
 from uavrl.upstream import ray_job
+from uavrl_onboard.cli.process import SAFE_PATH
 from uavrl_onboard.pluralize import pluralize
 
 log = logging.getLogger(__name__)
-SAFE_PATH = "PYTHONSAFEPATH"  # set in a command: nothing is imported from the working folder
 OBJECTS = 512 * 2**20  # bytes that a Ray of our own keeps for episodes and weights on their way
 
 

@@ -2,10 +2,22 @@
 
 from dataclasses import replace
 
+from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.transforms.guarded import Guarded
 from uavrl_onboard.guards.settings import GuardSettings
+
+
+def far_seeing(lidar: LidarConfig, *sights: float | None) -> LidarConfig:
+    """Return the LiDAR with a ``far_range`` that covers all sights, in m; a ``far_range`` that it has stays.
+
+    Examples:
+        >>> far_seeing(LidarConfig(max_range=4.0), None, 12.0).far_range
+        12.0
+    """
+    farthest = max((sight for sight in sights if sight is not None), default=None)
+    return replace(lidar, far_range=farthest) if lidar.far_range is None else lidar
 
 
 def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
@@ -19,7 +31,6 @@ def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
         UavrlError: if a guard looks farther than the LiDAR reaches: what is not scanned would seem to be free.
 
     Examples:
-        >>> from uavrl.envs.lidar import LidarConfig
         >>> from uavrl_onboard.guards.settings import guard_settings
         >>> base = NavigationEnv(1, lidar=LidarConfig(max_range=4.0, min_range=0.9))
         >>> guarded(base, guard_settings("shield")).guards.shield.nearest

@@ -1,7 +1,6 @@
 """The navigation task as a Gymnasium environment with pictures, for users of other RL libraries."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -10,7 +9,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import Compose, TransformedEnv
 
 from uavrl.envs.camera import Camera
-from uavrl.envs.guarding import guarded
+from uavrl.envs.guarding import far_seeing, guarded
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.limits import OrMapping, require_speed, settings, whole
 from uavrl.envs.navigation import CONTROL_RATE, NavigationEnv
@@ -76,8 +75,7 @@ class ValleyFlights:
         )
         asked = {"max_range": radius, **lidar} if isinstance(lidar, Mapping) else lidar
         lidar = settings("lidar", LidarConfig, LidarConfig(max_range=radius) if asked is None else asked)
-        if lidar.far_range is None:
-            lidar = replace(lidar, far_range=chosen.sight)
+        lidar = far_seeing(lidar, chosen.sight)
         self.base = NavigationEnv(num_envs, world=valley, lidar=lidar, **kwargs)
         self.env = TransformedEnv(self.base, Compose())
         heading = {}

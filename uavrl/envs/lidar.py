@@ -216,27 +216,61 @@ class Lidar:
         Raises:
             ValueError: if an argument is missing, has a wrong shape, or holds NaN or infinite values.
         """
-        config, positions = self.config, _checked("positions", positions, (-1, 3))
-        rotations = _checked("rotations", rotations, (len(positions), 3, 3))
-        if np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) > 1e-3:
-            raise ValueError("rotations must be rotation matrices, got one whose rows are not orthonormal.")
-        moving_poses = np.empty((0, 4)) if moving_poses is None else np.asarray(moving_poses)
-        shape = (-1, 4) if moving_poses.ndim < 3 else (len(positions), -1, 4)
-        poses = _checked("moving_poses", moving_poses, shape)
-        poses = np.broadcast_to(poses, (len(positions), *poses.shape[-2:]))
-        if poses.size and self._moving_scene is None:
-            raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
+        positions = _checked("positions", positions, (-1, 3))
+        rotations = _checked_rotations(rotations, len(positions))
+        poses = self._checked_poses(moving_poses, len(positions))
         flaws = [VehicleParams()] * len(positions) if flaws is None else flaws
-        noise = [config.noise if flaw.range_noise is None else flaw.range_noise for flaw in flaws]
-        dropout = [config.dropout if flaw.dropout is None else flaw.dropout for flaw in flaws]
+        noise = [self.config.noise if flaw.range_noise is None else flaw.range_noise for flaw in flaws]
+        dropout = [self.config.dropout if flaw.dropout is None else flaw.dropout for flaw in flaws]
         if rng is None and (any(noise) or any(dropout)):
             raise ValueError("range_noise and dropout need rng, a numpy Generator, got None.")
-        moved = config.motion_distortion and rays is None
-        if moved:
-            velocities = _checked("velocities", velocities, positions.shape)
-            angular_velocities = _checked("angular_velocities", angular_velocities, positions.shape)
-        count, scans = len(self._times), len(self._columns)
+        motion = None
+        if self.config.motion_distortion and rays is None:
+            motion = (
+                _checked("velocities", velocities, positions.shape),
+                _checked("angular_velocities", angular_velocities, positions.shape),
+            )
+        scans = len(self._columns)
         which = [0] * len(positions) if numbers is None or scans == 1 else [int(number) % scans for number in numbers]
+        ranges = self._ranges(positions, rotations, poses, which, motion, rays)
+        for seen, flaw, number in zip(ranges, flaws, which, strict=True):
+            if flaw.blind_sector:
+                hide_sector(seen, self._azimuths[number], flaw.blind_azimuth, flaw.blind_sector)
+        if rng is not None:
+            add_noise(ranges, noise, dropout, rng)
+        if self.config.nearest > 0.0:
+            np.putmask(ranges, ranges < self.config.nearest, np.nan)
+        return self._points(ranges, which)
+
+    def _checked_poses(self, moving_poses: np.ndarray | None, count: int) -> np.ndarray:
+        """The poses of moving bodies as each of ``count`` sensors meets them, ``[N, K, 4]``."""
+        moving_poses = np.empty((0, 4)) if moving_poses is None else np.asarray(moving_poses)
+        poses = _checked("moving_poses", moving_poses, (-1, 4) if moving_poses.ndim < 3 else (count, -1, 4))
+        poses = np.broadcast_to(poses, (count, *poses.shape[-2:]))
+        if poses.size and self._moving_scene is None:
+            raise ValueError("moving_poses needs a Lidar that was built with a moving mesh.")
+        return poses
+
+    def _ranges(
+        self,
+        positions: np.ndarray,
+        rotations: np.ndarray,
+        poses: np.ndarray,
+        which: Sequence[int],
+        motion: tuple[np.ndarray, np.ndarray] | None,
+        rays: slice | None,
+    ) -> np.ndarray:
+        """The true ranges of all rays, ``float32 [N, R]`` in m; NaN where one hits nothing or is not cast.
+
+        Args:
+            positions: ``[N, 3]``.
+            rotations: ``[N, 3, 3]``.
+            poses: ``[N, K, 4]``, of moving bodies.
+            which: scan of the pattern each of the N sensors casts.
+            motion: velocities and angular velocities ``[N, 3]`` during the scan; None: all rays start at once.
+            rays: those that are cast; None for all.
+        """
+        count = len(self._times)
         ranges = np.full((len(positions), count), np.nan, dtype=np.float32)
         first, last, _ = slice(None).indices(count) if rays is None else rays.indices(count)
         every = None if rays is None else np.arange(first, last)
@@ -247,10 +281,11 @@ class Lidar:
             columns, reach = self._columns[which[vehicle]], self._reach[which[vehicle]]
             origins, directions = position[:, None].astype(np.float32), rotation.astype(np.float32) @ columns
             speed = 0.0
-            if moved and velocities is not None and angular_velocities is not None:
-                origins = origins + (velocities[vehicle, :, None] * self._times).astype(np.float32)
-                directions = _turned(directions, angular_velocities[vehicle], self._times).astype(np.float32)
-                speed = float(np.linalg.norm(velocities[vehicle]))
+            if motion is not None:
+                velocity, angular_velocity = motion[0][vehicle], motion[1][vehicle]
+                origins = origins + (velocity[:, None] * self._times).astype(np.float32)
+                directions = _turned(directions, angular_velocity, self._times).astype(np.float32)
+                speed = float(np.linalg.norm(velocity))
             if self._static_scene is not None:
                 passing = every if near is None else np.flatnonzero(near[vehicle, first:last]) + first
                 towards = _of_rays(passing, origins), _of_rays(passing, directions)
@@ -261,14 +296,11 @@ class Lidar:
                 self._cast_body(pose, position, speed, origins, directions, ranges[vehicle], which[vehicle])
         if rays is not None:
             ranges[:, :first] = ranges[:, last:] = np.nan
-        for seen, flaw, number in zip(ranges, flaws, which, strict=True):
-            if flaw.blind_sector:
-                hide_sector(seen, self._azimuths[number], flaw.blind_azimuth, flaw.blind_sector)
-        if rng is not None:
-            add_noise(ranges, noise, dropout, rng)
-        if config.nearest > 0.0:
-            np.putmask(ranges, ranges < config.nearest, np.nan)
-        if scans == 1:
+        return ranges
+
+    def _points(self, ranges: np.ndarray, which: Sequence[int]) -> np.ndarray:
+        """The points ``[N, R, 3]`` at the ranges ``[N, R]`` of the scans of the pattern that N sensors cast."""
+        if len(self._columns) == 1:
             return (self._columns[0][:, None] * ranges).transpose(1, 2, 0)
         points = np.empty((3, *ranges.shape), np.float32)
         for vehicle, number in enumerate(which):
@@ -339,3 +371,11 @@ def _checked(name: str, values: np.ndarray | None, shape: tuple[int, ...]) -> np
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got NaN or infinite values.")
     return array
+
+
+def _checked_rotations(values: np.ndarray, count: int) -> np.ndarray:
+    """Returns ``count`` rotation matrices ``[N, 3, 3]`` as float64 after checking them."""
+    rotations = _checked("rotations", values, (count, 3, 3))
+    if np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0) > 1e-3:
+        raise ValueError("rotations must be rotation matrices, got one whose rows are not orthonormal.")
+    return rotations

@@ -15,7 +15,7 @@ from pydantic import Field
 from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError
 from uavrl_onboard.ranges import Positive, Rule
-from uavrl_onboard.vehicle import VEHICLE, Vehicle
+from uavrl_onboard.vehicle import ARM, LIDAR_DIAMETER, LIDAR_HEIGHT, ROTOR_DIRECTIONS, VEHICLE, Vehicle
 
 GRAVITY = 9.81  # m/s²
 THRUST_RESERVE = 0.1  # share of the rotors' thrust that climbing leaves to roll, pitch and yaw
@@ -27,9 +27,8 @@ Coefficient = Annotated[float, Field(le=1e3)]
 Speed = Annotated[float, Field(ge=-100, le=100)]
 Tilt = Annotated[float, Rule("an angle in (0, π/2) rad", lambda angle: 0 < angle < math.pi / 2)]
 
-# The rotors sit in front, at the left, at the back and at the right; neighbours turn against each other.
-ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-ROTOR_SPINS = np.array([-1.0, 1.0, -1.0, 1.0])  # sign of the yaw moment that each rotor leaves on the body
+# Sign of the yaw moment that each rotor leaves on the body; neighbours turn against each other.
+ROTOR_SPINS = np.array([-1.0, 1.0, -1.0, 1.0])
 
 
 def _require_three(config: object, names: tuple[str, ...]) -> None:
@@ -72,7 +71,7 @@ class Airframe:
 
     mass: Mass = 1.477
     inertia: tuple[Mass, Mass, Mass] = (0.01152, 0.01152, 0.0218)
-    arm: Annotated[float, Field(le=10)] = 0.275
+    arm: Annotated[float, Field(le=10)] = ARM
     thrust_coefficient: Annotated[float, Field(le=1)] = 1.53819e-5
     torque_to_thrust: Length = 0.01534
     motor_time_constant: Annotated[float, Field(le=100)] = 0.05
@@ -82,8 +81,8 @@ class Airframe:
     collision_height: Positive = VEHICLE.height
     lidar_mass: Mass = 0.83
     lidar_position: tuple[Offset, Offset, Offset] = VEHICLE.lidar_position
-    lidar_diameter: Length = 0.103
-    lidar_height: Length = 0.072
+    lidar_diameter: Length = LIDAR_DIAMETER
+    lidar_height: Length = LIDAR_HEIGHT
 
     def __post_init__(self) -> None:
         """Refuses vehicles that cannot fly."""

@@ -1,59 +1,27 @@
-"""The environment of a configuration, and what a network reads and writes there."""
+"""The environment of a configuration."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
-from torchrl.data import Bounded, Unbounded
-from torchrl.envs import CatFrames, Compose, EnvBase, InitTracker, TensorDictPrimer, Transform, TransformedEnv
+from torchrl.data import Unbounded
+from torchrl.envs import Compose, EnvBase, InitTracker, TensorDictPrimer, Transform, TransformedEnv
 
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
-from uavrl.envs.guarding import guarded
+from uavrl.envs.guarding import far_seeing, guarded
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.privileged import QUANTITIES
 from uavrl.errors import UavrlError
 from uavrl.models.memory import RECURRENT_STATE
 from uavrl.transforms import PointCloudReduction
+from uavrl.transforms.composition import inner_transforms
 from uavrl.transforms.guarded import GOAL_HEADING
-from uavrl.transforms.privileged import PRIVILEGED, Privileged
+from uavrl.transforms.privileged import Privileged
 from uavrl_onboard.guards.settings import GuardSettings
 
-
-@dataclass(frozen=True)
-class NetworkSizes:
-    """Widths of state and action."""
-
-    state: int  # numbers in the policy's state
-    frames: int  # observations in a state
-    actions: int  # numbers in an action
-    limit: float  # the largest action; the smallest is its negative
-    privileged: int = 0  # numbers that the critics read beside the state
-
-    def action_spec(self, device: torch.device | str) -> Bounded:
-        """The bounds of one action."""
-        return Bounded(-self.limit, self.limit, (self.actions,), device=device, dtype=torch.float32)
-
-
-def network_sizes(env: EnvBase) -> NetworkSizes:
-    """The sizes of an environment with its transforms."""
-    spec = env.action_spec_unbatched
-    limit = float(spec.high.max()) if isinstance(spec, Bounded) else 0.0
-    if not isinstance(spec, Bounded) or not bool((spec.high == limit).all() and (spec.low == -limit).all()):
-        raise UavrlError(f"Expected actions in [-a, a], got {spec}: scale them by a transform.")
-    stacks = [t.N for t in inner_transforms(getattr(env, "transform", None)) if isinstance(t, CatFrames)]
-    width = int(env.observation_spec["observation"].shape[-1])
-    privileged = env.observation_spec.get(PRIVILEGED, None)
-    more = 0 if privileged is None else int(privileged.shape[-1])
-    return NetworkSizes(width, stacks[-1] if stacks else 1, int(spec.shape[-1]), limit, more)
-
-
-def inner_transforms(transform: Transform | None) -> list[Transform]:
-    """The transforms of a composition, in their order."""
-    if isinstance(transform, Compose):
-        return [inner for outer in transform.transforms for inner in inner_transforms(outer)]
-    return [] if transform is None else [transform]
+FAR_RANGE = "perception.lidar.far_range"
 
 
 def make_env(
@@ -135,26 +103,27 @@ def _guard(
     return {"heading": GOAL_HEADING, **reward} if "heading" in taken else reward
 
 
-def with_sight(perception: Mapping[str, Any], guards: GuardSettings | None = None) -> Mapping[str, Any]:
-    """Lets the LiDAR reach as far as perception looks, and guards; refuses one that is told otherwise.
+def with_sight(
+    perception: Mapping[str, Any], guards: GuardSettings | None = None, given: Collection[str] = (FAR_RANGE,)
+) -> Mapping[str, Any]:
+    """Let the LiDAR reach as far as perception and guards look: nothing else changes its ``far_range``.
 
-    What is not scanned would seem to be free.
+    A ``far_range`` among the ``given`` keys stays. Any other grows if guards look farther.
     """
-    lidar, looked = perception.get("lidar"), {"perception.motion": perception.get("motion")}
-    for name in () if guards is None else ("map", "evasion"):
-        each = getattr(guards, name)
-        looked[f"guards.{name}.sight"] = None if each is None else each.sight
-    ranges = {key: value for key, value in looked.items() if isinstance(value, int | float)}
-    if lidar is None or not ranges:  # nothing looks far, or somebody else's perception
+    lidar, motion = perception.get("lidar"), perception.get("motion")
+    motion = motion if isinstance(motion, int | float) else None  # somebody else's perception may mean something else
+    sight = None if guards is None else guards.sight
+    if lidar is None or (motion is None and sight is None):
         return perception
-    key, farthest = max(ranges.items(), key=lambda item: item[1])
-    scanning = replace(lidar, far_range=farthest) if lidar.far_range is None else lidar
-    if farthest > scanning.farthest:
+    stays = FAR_RANGE in given
+    recorded = None if stays else lidar.far_range
+    scanning = far_seeing(lidar if stays else replace(lidar, far_range=None), recorded, motion, sight)
+    if motion is not None and motion > scanning.farthest:
         raise UavrlError(
-            f"{key}={farthest:g} looks farther than the LiDAR {lidar.device.name}, which reaches "
-            f"{scanning.farthest:g} m: leave perception.lidar.far_range out, choose another env.lidar, or lower {key}."
+            f"perception.motion={motion:g} looks farther than the LiDAR, which reaches {scanning.farthest:g} m: leave "
+            f"{FAR_RANGE} out, choose another env.lidar, or lower perception.motion."
         )
-    return perception if scanning is lidar else {**perception, "lidar": scanning}
+    return perception if scanning == lidar else {**perception, "lidar": scanning}
 
 
 def require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:

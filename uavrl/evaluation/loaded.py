@@ -14,14 +14,14 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from uavrl.config import compose, validate
 from uavrl.entries import entry
 from uavrl.errors import UavrlError
-from uavrl.evaluation.environment import make_env
+from uavrl.evaluation.environment import make_env, with_sight
 from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
-from uavrl.models.memory import IS_INIT, RECURRENT_STATE
+from uavrl.evaluation.worlds import FIRST_UNSEEN
+from uavrl.models.memory import IS_INIT, RECURRENT_STATE, RecurrentPolicy
 from uavrl.policy_protocol import PolicyModule
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 
-UNSEEN = 100  # the seed of a valley in which no policy here was trained
 _TAKEN = ("env", "randomize")
 
 
@@ -54,7 +54,7 @@ class LoadedPolicy(PolicyModule):
         self.inputs = inputs
         self.in_keys: list[NestedKey] = list(actor.in_keys)
         self.out_keys: list[NestedKey] = ["action"]
-        self.recurrent_state: tuple[int, int] | None = getattr(actor, "recurrent_state", None)
+        self.recurrent_state = actor.recurrent_state if isinstance(actor, RecurrentPolicy) else None
         if self.recurrent_state is not None:
             self.out_keys.append(("next", RECURRENT_STATE))
         self.actor, self.config, self.source = actor, config, dict(source)
@@ -128,12 +128,10 @@ class LoadedPolicy(PolicyModule):
             require_valley(run.env, run.choices, "valleys")
         unseen = "world" in run.env and run.env.world.VARIES and "env.world.seeds" not in keys
         if valleys is not None or unseen:
-            run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [UNSEEN]))
+            run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [FIRST_UNSEEN]))
         chosen = guard_settings(guards, self.guards)
-        lidar = run.perception.get("lidar")
         check_field_of_view(run.perception, trained_sensor(self.config), run.packages, allowed=allow_unseen)
-        if lidar is not None and chosen.sight is not None and "perception.lidar.far_range" not in keys:
-            run.perception["lidar"] = replace(lidar, far_range=max(lidar.far_range or 0.0, chosen.sight))
+        perception = with_sight(run.perception, chosen, keys)
         context: dict[str, Any] = {
             "packages": run.packages,
             "num_uavs": num_uavs,
@@ -143,4 +141,4 @@ class LoadedPolicy(PolicyModule):
             "recurrent_state": self.recurrent_state,
             "guards": chosen,
         }
-        return make_env(run.env, run.perception, run.reward, **context)
+        return make_env(run.env, perception, run.reward, **context)

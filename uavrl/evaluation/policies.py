@@ -75,7 +75,7 @@ class PolicySetup:
         return {
             "keep_cloud": "point_cloud" in read,
             "mark_resets": "is_init" in read,
-            "recurrent_state": getattr(self.policy, "recurrent_state", None),
+            "recurrent_state": self.policy.recurrent_state,
             "guards": self.guards,
             "policy_reads": read,
         }
@@ -161,6 +161,8 @@ def _guarded(
     chosen: PolicySetup, settings: FlyingConfig, given: Collection[str], default: GuardSettings
 ) -> PolicySetup:
     """The same policy behind the guards that the command line asks for, or else its own."""
+    from uavrl.evaluation.environment import with_sight
+
     valley = "world" in chosen.env
     guards = guard_settings(settings.guards, default if valley else GuardSettings())
     if not guards.names:
@@ -172,16 +174,8 @@ def _guarded(
             "guards=[evasion,shield], or choose another policy."
         )
     about = {**chosen.source, "guards": guards.plain()}
-    perception = _seen_afar(chosen.perception, guards.sight, given)
-    return replace(chosen, guards=guards, source=about, perception=perception)
-
-
-def _seen_afar(perception: Part, sight: float | None, given: Collection[str]) -> Part:
-    """The perception without a range that is too near for the guards, unless the command line gives it."""
-    lidar, key = perception.get("lidar"), "perception.lidar.far_range"
-    if lidar is None or sight is None or key in given or (lidar.far_range or sight) >= sight:
-        return perception
-    return Part({**perception, "lidar": replace(lidar, far_range=None)})  # a run wrote down what it needed
+    perception = with_sight(chosen.perception, guards, given)
+    return replace(chosen, guards=guards, source=about, perception=Part(perception))
 
 
 def _as_contracted(

@@ -1,6 +1,6 @@
 """How smoothly a policy acts: how much its action changes from one step to the next, and how often its yaw reverses."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -92,13 +92,3 @@ def smoothness_texts(change: Sequence[float] | None, reversals: float | None) ->
     velocity, _, turning = change_text(change, reversals).partition(", ")
     told = {name: f"{velocity} (forward / left / up), {turning} (yaw rate)"}
     return told | {"steps that reverse the yaw rate": f"{100 * reversals:.1f} %"}
-
-
-def aligned(texts: Iterable[tuple[str, str]]) -> list[str]:
-    """Names and texts as lines whose texts begin in one column.
-
-    Examples:
-        >>> aligned([("steps per success", "104.25")])
-        ['steps per success                               104.25']
-    """
-    return [f"{name:<48}{text}" for name, text in texts]

@@ -1,4 +1,4 @@
-"""The rates of some episodes, as numbers and as a table, and those of the scenarios of ``uavrl-evaluate suite=…``."""
+"""The rates of some episodes, as numbers and as a table."""
 
 from __future__ import annotations
 
@@ -7,15 +7,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
-from uavrl.config.yaml_files import conf_dir
-from uavrl.errors import UavrlError
 from uavrl.evaluation.interventions import intervention_texts, summarize_interventions
 from uavrl.evaluation.position_stats import position_texts
-from uavrl.evaluation.smoothness import aligned, smoothness_texts, summarize_smoothness
-from uavrl.runs.episodes import LETTERS, RATES, rate_cell, rate_text, success_text, wilson
-from uavrl_onboard.sentences import did_you_mean
+from uavrl.evaluation.smoothness import smoothness_texts, summarize_smoothness
+from uavrl.runs.episodes import LETTERS, RATES, aligned, rate_text, success_text, wilson
 
 if TYPE_CHECKING:
     from uavrl.envs.difficulty import Difficulty
@@ -114,7 +110,7 @@ def _success_in(valley: int, flights: Sequence[EpisodeResult]) -> dict[str, floa
     return {"episodes": len(there), **wilson(there.count("arrived"), len(there))}
 
 
-def _number(value: float | None, form: str, unit: str = "") -> str:
+def number_text(value: float | None, form: str, unit: str = "") -> str:
     """A value as text, a dash where there is none."""
     return "–" if value is None else f"{value:{form}}{unit}"
 
@@ -122,7 +118,7 @@ def _number(value: float | None, form: str, unit: str = "") -> str:
 def table(result: Mapping[str, Any]) -> str:
     """A summary as text for a person; its last line is the success rate."""
     lines = [(f"{name.replace('_', '-')} rate", rate_text(result[name], result["episodes"])) for name in OTHERS]
-    lines += [(name, _number(result[key], ".2f", unit)) for key, (name, unit) in LABELS.items() if key in result]
+    lines += [(name, number_text(result[key], ".2f", unit)) for key, (name, unit) in LABELS.items() if key in result]
     lines += smoothness_texts(result.get("action_change"), result.get("yaw_reversals")).items()
     lines += intervention_texts(result.get("guard_share"), result.get("guard_change")).items()
     lines += position_texts(result["position_stats"]).items() if "position_stats" in result else []
@@ -139,11 +135,6 @@ def _valley_lines(valleys: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, s
     return lines + ([("valleys with fewer than ten tasks", f"{few}, whose rates are in the file")] if few else [])
 
 
-def _third_cell(result: Mapping[str, Any]) -> str:
-    shares = [100 * each["rate"] for each in result.get("success_by_detour", ())]
-    return " / ".join(f"{share:.0f}" for share in shares) or "–"
-
-
 def _third_lines(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The success rates of easy, middling and hard tasks."""
     lines = []
@@ -152,42 +143,3 @@ def _third_lines(result: Mapping[str, Any]) -> list[tuple[str, str]]:
             told = f"success, {name} {third['least']:.2f} to {third['most']:.2f}{unit}"
             lines.append((told, rate_text(third, third["episodes"])))
     return lines
-
-
-def scenarios(asked: str | Sequence[str]) -> dict[str, list[str]]:
-    """What each scenario of ``conf/suite.yaml`` that is asked for changes; ``"all"`` asks for every one."""
-    suite: dict[str, list[str]] = yaml.safe_load((conf_dir() / "suite.yaml").read_text(encoding="utf-8"))
-    if asked == "all":
-        return suite
-    names = [asked] if isinstance(asked, str) else list(asked)
-    for name in names:
-        if name not in suite:
-            known = f"suite must be all or some of {', '.join(suite)}, got {name!r}"
-            raise UavrlError(known + did_you_mean(str(name), suite, ": "))
-    return {name: suite[name] for name in names}
-
-
-def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """The rates of each scenario, steps and clearance of its successes, and smoothness.
-
-    The change is the mean absolute change of the yaw rate from step to step; reversals are of the yaw rate;
-    guarded is the share of steps in which guards changed the velocity. The success by detour is that in the third of
-    the tasks with the least detour, in the next third and in the last.
-    """
-    heads = ["success, % (95 % CI)", "collision, %", "time-out, %", "steps per success", "clearance, m"]
-    heads += ["yaw rate change, rad/s", "reversals, %", "guarded, %", "by detour, %"]
-    lines = [f"{'scenario':<14}" + "  ".join(heads)]
-    for name, result in results.items():
-        shares = [result.get(key) for key in ("yaw_reversals", "guard_share")]
-        others = [100 * result[key]["rate"] for key in OTHERS]
-        cells = (
-            rate_cell(result["success"]),
-            *(f"{share:.1f}" for share in others),
-            _number(result["steps_per_arrival"], ".0f"),
-            _number(result["median_clearance"], ".2f"),
-            _number((result.get("action_change") or [None])[-1], ".2f"),
-            *(_number(None if share is None else 100 * share, ".1f") for share in shares),
-            _third_cell(result),
-        )
-        lines.append(f"{name:<14}" + "  ".join(f"{c:>{len(h)}}" for c, h in zip(cells, heads, strict=True)))
-    return "\n".join(lines)

@@ -10,7 +10,7 @@ from uavrl_onboard.pluralize import pluralize
 
 UNSEEN, TRAINING = "unseen", "training"
 VALLEYS = ("static", "dynamic")  # env=; the other worlds of several seeds are no valleys
-FIRST, COUNT = 100, 10  # the seeds of the suite's row held_out, which no preset trains in
+FIRST_UNSEEN, COUNT = 100, 10  # the seeds of the suite's row held_out, which no preset trains in
 
 
 def unseen_seeds(trained: Collection[int] = ()) -> tuple[int, ...]:
@@ -22,7 +22,7 @@ def unseen_seeds(trained: Collection[int] = ()) -> tuple[int, ...]:
         >>> unseen_seeds([100, 101])[0]
         102
     """
-    return tuple(islice((seed for seed in count(FIRST) if seed not in trained), COUNT))
+    return tuple(islice((seed for seed in count(FIRST_UNSEEN) if seed not in trained), COUNT))
 
 
 def without_variety(run: DictConfig, composed: DictConfig, given: Collection[str]) -> DictConfig:

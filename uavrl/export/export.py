@@ -20,7 +20,6 @@ from uavrl.envs import Airframe, LidarConfig, NavigationEnv
 from uavrl.envs.simulation import CONTROL_RATE
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import POLICY_INFO, load_actor
-from uavrl.evaluation.environment import inner_transforms
 from uavrl.export.model_card import STATEMENTS, read_statements, write_card
 from uavrl.export.onnx_export import INPUT, MEMORY_INPUT, MEMORY_OUTPUT, OUTPUT, opset_of, policy_onnx
 from uavrl.models.memory import RecurrentPolicy
@@ -36,6 +35,7 @@ from uavrl.transforms import (
     RangeImage,
     Threats,
 )
+from uavrl.transforms.composition import inner_transforms
 from uavrl.transforms.state import REDUCTIONS
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.guards.settings import GuardSettings

@@ -11,6 +11,7 @@ from torch import Tensor
 from uavrl.envs.limits import OrMapping
 from uavrl.envs.quadrotor import Airframe
 from uavrl.planners.point_memory import Planner, Surroundings
+from uavrl.policies.baselines import blended
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.geometry import off_altitudes, stretch
 from uavrl_onboard.perception.cells import grid_directions
@@ -21,7 +22,6 @@ from uavrl_onboard.vehicle import VEHICLE, Hull
 ELEVATIONS = (-0.5, 0.0, 0.5)  # rad, of the directions
 AZIMUTHS, AZIMUTHS_BEYOND = 24, 12  # of the first directions, and of those from a node
 BLENDED = math.cos(0.3)  # directions within this angle, in rad, of the best one are blended with it
-SHARPNESS = 20.0  # of the blend, as that of vfh
 OUTSIDE = 5.0  # cost of a metre beyond the altitudes in which one may fly
 
 
@@ -212,8 +212,7 @@ class VFHStar(Planner):
 
     def _blended(self, cost: Tensor, lines: LineClearances) -> tuple[Tensor, Tensor]:
         """The way, a unit vector ``[N, 3]``, and the speed ``[N, 1]``, of the best direction and its neighbours."""
-        costs, far = self.costs, ~self._close[cost.argmin(-1)]
-        weight = torch.softmax((-SHARPNESS / costs.goal * cost).masked_fill(far, -math.inf), -1)
-        way = torch.nn.functional.normalize(weight @ self.directions, dim=-1)
+        costs = self.costs
+        weight, way = blended(cost, self._close, costs.goal, self.directions)
         speed = (lines.free / costs.brake).clamp_max(self.vehicle.velocity_limit) * (1 - costs.caution * lines.threat)
         return way, (weight * speed).sum(-1, keepdim=True)

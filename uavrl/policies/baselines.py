@@ -124,6 +124,27 @@ def keep_headway(velocity: Tensor, towards: Tensor, speed: Tensor) -> Tensor:
     return torch.where(still, 0.5 * velocity, velocity)
 
 
+def blended(cost: Tensor, close: Tensor, goal: float, directions: Tensor) -> tuple[Tensor, Tensor]:
+    """The best of the directions and those close to it, blended, so that it changes gradually as the costs do.
+
+    Args:
+        cost: of each direction, ``[N, D]``.
+        close: which directions are blended with which, ``[D, D]``.
+        goal: cost of a direction that leads away from the goal; the others are large or small beside it.
+        directions: unit vectors ``[D, 3]``.
+
+    Returns:
+        The weights of the directions ``[N, D]``, and the unit vectors ``[N, 3]`` of the blend.
+
+    Examples:
+        >>> blended(torch.tensor([[0.0, 0.0, 9.0]]), torch.ones(3, 3) > 0, 1.0, torch.eye(3))[0].tolist()
+        [[0.5, 0.5, 0.0]]
+    """
+    far = ~close[cost.argmin(-1)]
+    weights = torch.softmax((-SHARPNESS / goal * cost).masked_fill(far, -math.inf), -1)
+    return weights, torch.nn.functional.normalize(weights @ directions, dim=-1)
+
+
 class VectorFieldHistogram(PolicyModule):
     """Flies where the reduced scan is emptiest on the way to the goal, slower the more stands there.
 
@@ -193,10 +214,10 @@ class VectorFieldHistogram(PolicyModule):
         self.costs = costs
         self.directions: Tensor
         self._towards: Tensor  # [cells, 3]
-        self._near: Tensor  # [D, D], cosines between directions
+        self._close: Tensor  # [D, D]: which directions are blended with which
         self._seen_in: Tensor  # [D, cells]: how much of each counts in a direction
         self.register_buffer("directions", DIRECTIONS.clone(), persistent=False)
-        self.register_buffer("_near", DIRECTIONS @ DIRECTIONS.T, persistent=False)
+        self.register_buffer("_close", DIRECTIONS @ DIRECTIONS.T > BLENDED, persistent=False)
         self.register_buffer("_towards", cell_directions(reduction, grid).clone(), persistent=False)
         seen_in = _counting(cell_directions(reduction, grid), self.costs.width)
         if reduction == "range_image" and grid not in (None, VLP16_GRID):
@@ -267,15 +288,13 @@ class VectorFieldHistogram(PolicyModule):
     def to_action(self, cost: Tensor, speed: Tensor, heading_deg: Tensor) -> Tensor:
         """The action ``[N, 4]`` of the cheapest direction, of ``cost`` and ``speed [N, D]``, turning slowly to it.
 
-        It is blended with its neighbours, so that it changes gradually as the costs do. Turning can be slow, since the
-        vehicle flies to any side; a fast turn makes a late command point elsewhere.
+        It is blended with its neighbours. Turning can be slow, since the vehicle flies to any side; a fast turn makes a
+        late command point elsewhere.
 
         With the goal behind, at ``heading_deg [N, 1]``, it turns to the goal's side wherever it flies: ways past an
         obstacle there cost much the same to the left and to the right, and the better one changes from step to step.
         """
-        beside = self._near[cost.argmin(-1)] > BLENDED
-        weight = torch.softmax((-SHARPNESS / self.costs.goal * cost).masked_fill(~beside, -math.inf), -1)
-        way = torch.nn.functional.normalize(weight @ self.directions, dim=-1)
+        weight, way = blended(cost, self._close, self.costs.goal, self.directions)
         turn = (TURN_GAIN * torch.atan2(way[:, 1:2], way[:, :1])).clamp(-TURN_LIMIT, TURN_LIMIT)
         right = heading_deg.remainder(360) - 180  # of straight behind, degrees; the goal's side is left below 0
         around = torch.where(right < 0, TURN_LIMIT, -TURN_LIMIT).to(turn)

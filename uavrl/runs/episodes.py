@@ -6,7 +6,7 @@ import csv
 import math
 import os
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,6 +107,16 @@ def rate_cell(rate: Mapping[str, float]) -> str:
     """
     share, low, high = (100 * rate[key] for key in ("rate", "low", "high"))
     return f"{share:.1f} ({low:.1f}–{high:.1f})"
+
+
+def aligned(texts: Iterable[tuple[str, str]]) -> list[str]:
+    """Names and texts as lines whose texts begin in one column.
+
+    Examples:
+        >>> aligned([("steps per success", "104.25")])
+        ['steps per success                               104.25']
+    """
+    return [f"{name:<48}{text}" for name, text in texts]
 
 
 def outcomes_of(result: Mapping[str, Any]) -> str | None:

@@ -26,17 +26,19 @@ from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.rules import WorldRules
 from uavrl.envs.world import map_places
 from uavrl.errors import UavrlError
-from uavrl.evaluation.actor import (
+from uavrl.evaluation.actor import saved_sizes
+from uavrl.evaluation.environment import make_device, make_env, require_keys
+from uavrl.losses import ActorCriticLoss, ActorPenalty, Fork, LifeGuard, SequenceLoss
+from uavrl.losses.networks import (
+    NetworkSizes,
     loss_class,
     make_actor,
     make_memory,
     make_network,
     network_context,
+    network_sizes,
     recurrent_shape,
-    saved_sizes,
 )
-from uavrl.evaluation.environment import NetworkSizes, make_device, make_env, network_sizes, require_keys
-from uavrl.losses import ActorCriticLoss, ActorPenalty, Fork, LifeGuard, SequenceLoss
 from uavrl.models.memory import CRITIC_MEMORY, RecurrentPolicy
 from uavrl.policy_protocol import as_policy
 from uavrl.runs.checkpoint import restore, rotation

@@ -10,23 +10,10 @@ from uavrl.envs.terrain import HeightField
 from uavrl.evaluation.interventions import intervention_texts
 from uavrl.evaluation.recording import RecordedFlight, Recording, Scenery, thinned
 from uavrl.evaluation.smoothness import smoothness_texts
+from uavrl.viewer.colours import ENDED, GOAL, KINDS, LED, OTHER_KIND, OUTCOMES, PLANE, SEEN
 from uavrl_onboard.files import replacing
 from uavrl_onboard.pages.assembly import filled, pack
-from uavrl_onboard.pages.shapes import (
-    BODY,
-    ENDED,
-    GOAL,
-    KINDS,
-    LED,
-    OTHER_KIND,
-    OUTCOMES,
-    PLANE,
-    SEEN,
-    Shell,
-    football,
-    shell,
-    vehicle,
-)
+from uavrl_onboard.pages.shapes import BODY, Shell, football, shell, vehicle
 
 PARTS = ("flight.css", "flight_charts.js", "drawing.js", "flight_log.js", "flight.js")
 POINT_BYTES = 5_000_000  # for all scans of a page, before base64 makes four characters of three bytes

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from uavrl.errors import UavrlError
 from uavrl.evaluation.recording import thinned
+from uavrl.viewer.colours import STATES
 from uavrl.viewer.flight_page import POINT_BYTES, drawn_parts, packed_points
 from uavrl_onboard.autopilot.frames import Vector
 from uavrl_onboard.flight.interfaces import FlightCycle
 from uavrl_onboard.flight.logged_flight import FARTHEST, LoggedFlight
 from uavrl_onboard.geometry import is_return
 from uavrl_onboard.pages.assembly import pack
-from uavrl_onboard.pages.shapes import STATES, shell
+from uavrl_onboard.pages.shapes import shell
 from uavrl_onboard.perception.reductions import directions
 from uavrl_onboard.pluralize import pluralize
 

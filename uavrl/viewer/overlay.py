@@ -8,9 +8,10 @@ import numpy as np
 
 from uavrl.errors import extras
 from uavrl.evaluation.recording import RecordedFlight, Scenery
+from uavrl.viewer.colours import GOAL
 from uavrl.viewer.scene import SceneRenderer, View, rgb
 from uavrl_onboard.mesh import Mesh
-from uavrl_onboard.pages.shapes import BODY, GOAL, shell
+from uavrl_onboard.pages.shapes import BODY, shell
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw

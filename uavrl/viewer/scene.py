@@ -10,9 +10,9 @@ import numpy as np
 from uavrl.envs.terrain import HeightField
 from uavrl.errors import extras
 from uavrl.evaluation.recording import Scenery
+from uavrl.viewer.colours import KINDS, OTHER_KIND
 from uavrl.viewer.flight_page import above_ground
 from uavrl_onboard.mesh import Mesh
-from uavrl_onboard.pages.shapes import KINDS, OTHER_KIND
 
 with extras():
     from embreex.mesh_construction import TriangleMesh

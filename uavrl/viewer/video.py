@@ -16,12 +16,13 @@ from uavrl.errors import UavrlError, extras
 from uavrl.evaluation.recording import RecordedFlight, Recording
 from uavrl.runs.episodes import SAID
 from uavrl.runs.progress_line import ProgressLine
+from uavrl.viewer.colours import GOAL, OUTCOMES, PLANE
 from uavrl.viewer.overlay import INK, NEAR, PAPER, Canvas, CellsPanel, Lines, MapPanel, nearness, rgba, ring
 from uavrl.viewer.scene import Body, BodyPose, SceneRenderer, View, rgb
 from uavrl_onboard.files import replacing
 from uavrl_onboard.geometry import heading_vector, yaw_rotation
 from uavrl_onboard.mesh import Mesh
-from uavrl_onboard.pages.shapes import BODY, GOAL, HEAD, OUTCOMES, PLANE, vehicle
+from uavrl_onboard.pages.shapes import BODY, HEAD, vehicle
 
 
 @dataclass(frozen=True)

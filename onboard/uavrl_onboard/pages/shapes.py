@@ -12,27 +12,11 @@ from uavrl_onboard.perception.cells import (
     icosahedron,
     range_image_middles,
 )
-from uavrl_onboard.vehicle import VEHICLE
+from uavrl_onboard.vehicle import ARM, LIDAR_DIAMETER, LIDAR_HEIGHT, ROTOR_DIRECTIONS, VEHICLE
 
-# The vehicle that is drawn: hector_quadrotor with a Velodyne VLP-16 on top.
-ARM, ROTOR_RADIUS = 0.275, 0.14  # m
-ROTOR_DIRECTIONS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-LIDAR_DIAMETER, LIDAR_HEIGHT = 0.103, 0.072  # m
+ROTOR_RADIUS = 0.14  # m
 SPHERE = 3000  # points of a sphere whose cells have no shape of their own
-OUTCOMES = {"arrived": "#009E73", "collided": "#D55E00", "timed_out": "#56B4E9"}  # colours of Okabe and Ito
-ENDED = "#8b949e"
-# Of the safety layer.
-STATES = {"flying": "#009E73", "fenced": "#E69F00", "holding": "#D55E00", "standby": "#56B4E9", "silent": "#8b949e"}
-KINDS = {
-    "tree": "#6b8f5e",
-    "rock": "#8f8b84",
-    "pole": "#a08a6a",
-    "arch": "#9a7f72",
-    "overhang": "#7f8794",
-    "wall": "#b5ada0",
-}
-OTHER_KIND = "#8a8a8a"
-BODY, HEAD, PLANE, GOAL, SEEN, LED = "#0072B2", "#CC79A7", "#7b3fa0", "#f0c419", "#d6006e", "#c2410c"
+BODY, HEAD = "#0072B2", "#CC79A7"  # colours of Okabe and Ito
 
 
 class Shell(NamedTuple):

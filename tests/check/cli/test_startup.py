@@ -24,8 +24,8 @@ for argument in {arguments!r}:
 LIGHT = {
     "train": {
         "algo=typo": "algo must be one of ddpg, sac, td3",
-        "algo.gama=0.9": "There is no key 'algo.gama': did you mean algo.gamma?",
-        "lifeguard.capacity=3": "lifeguard.capacity belongs to another choice of lifeguard than the one made",
+        "algo.gama=0.9": "'algo.gama'",
+        "lifeguard.capacity=3": "lifeguard.capacity",
         "trainer.episodes=-1": "trainer.episodes must be at least 1, got -1",
         "reward._target_=os.system": "os is no package that you have listed",
     },

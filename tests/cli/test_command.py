@@ -1,4 +1,4 @@
-"""A mistake on the command line is answered by what was meant, also with yaml files of one's own."""
+"""A mistake on the command line is answered in one sentence by what was meant, and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -7,9 +7,46 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.commands import TINY
 from tests.helpers.own_parts import CONFIG_DIR, TRUSTED
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import train as train_command
+
+MISTAKES = {
+    "algo.gama=0.9": "There is no key 'algo.gama'",
+    "+algo.gama=0.9": "There is no key 'algo.gama'",
+    "algo.actor._target_=uavrl.models.actor_critic.Critic": "algo.actor must be a network that takes an observation",
+    "device=cuda:99": "CUDA devices: use device=cpu",
+    "device=meta": "device must be auto, cpu, cuda or cuda:<index>, got 'meta'",
+    "env.world.min_clearance=9": "min_clearance",
+    "episodes=60": "did you mean trainer.episodes?",
+    "reward_preset=t": "reward_preset must be one of abr, abr_plus",
+    "learner=td3_lg fork=on": "learner=td3_lg selects fork=none, but the command line selects fork=on",
+    "reward_preset=tr reward=navigation": "selects reward=traditional, but the command line selects reward=navigation",
+    "backward_reward=none reward_preset=abr": "selects backward_reward=abr, but the command line selects backward_rew",
+    "algo=null": "Config group override must be a string",
+    "algo.gamma=[1": "The override 'algo.gamma=[1' cannot be read",
+    "run_dir=": "run_dir must be a folder to make, got ''",
+    "resume=": "resume must be the folder of a run, got ''",
+    "env.airframe.inertia=[1,1]": "uavrl: env.airframe.inertia must be a list of 3, got [1, 1]",
+    "env.aerodynamics.wind=[1]": "uavrl: env.aerodynamics.wind must be a list of 3, got [1]",
+    "perception.lidar.dropout=1": "uavrl: perception.lidar.dropout must be a probability in [0, 1), got 1.0",
+    "perception.radius=1e30": "perception.radius must be in (0, 100], got 1e+30",
+    "env.world.size=[1e9,1e9]": "uavrl: env.world.size and ceiling must make at most 200,000 m³ of a valley",
+    "env.world.obstacles=1000000000": "uavrl: env.world.obstacles must be at most 2,000 in a valley",
+    "env.world.obstacle_scale=1e6": "lower obstacles or obstacle_scale",
+    "env.airframe.collision_radius=100": "uavrl: env.airframe.collision_radius and half of airframe.collision_height",
+    "env.airframe.mass=-1": "uavrl: env.airframe: Mass, inertia, arm",
+    "trainer.updates_per_step=1e9": "trainer.updates_per_step must be in (0, 100], got 1000000000.0",
+    "trainer.threads=1000000": "trainer.threads must be in [1, 256], got 1000000",
+    "trainer.window=10000000000000000000000": "trainer.window must be at most 1e+15",
+    "env.num_uavs=1000000000": "env.num_uavs must be in [1, 512], got 1000000000",
+    "buffer.capacity=100000000000": "for buffer.capacity=100000000000, and this machine has",
+    "algo.hidden=[1000000,1000000]": "for algo.hidden=[1000000, 1000000], and this machine has",
+    "algo.batch_size=1000000000": "lower algo.batch_size.",
+    "lifeguard=linear lifeguard.capacity=100000000000": "lower lifeguard.capacity.",
+    "fork=on fork.system_network.hidden=[1000000,1000000]": "lower fork.system_network.hidden.",
+}
 
 
 @pytest.fixture
@@ -123,3 +160,22 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
 )
 def test_what_is_evaluated_is_guessed_too(arguments: list[str], told: str, refused: Callable[..., str]) -> None:
     assert told in refused(evaluate_command.main, *arguments)
+
+
+@pytest.mark.parametrize("arguments", MISTAKES)
+def test_a_mistake_is_one_sentence_and_leaves_no_folder(
+    arguments: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert MISTAKES[arguments] in refused(train_command.main, *arguments.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_mistake_found_after_the_folder_was_made_leaves_none(tmp_path: Path, refused: Callable[..., str]) -> None:
+    run_dir = tmp_path / "runs" / "new" / "run"
+    assert "CUDA devices" in refused(train_command.main, *TINY, "device=cuda:99", f"run_dir={run_dir}")
+    assert not (tmp_path / "runs").exists()
+    run_dir.mkdir(parents=True)
+    (run_dir / "mine.txt").write_text("kept")
+    assert "CUDA devices" in refused(train_command.main, *TINY, "device=cuda:99", f"run_dir={run_dir}")
+    assert (run_dir / "mine.txt").read_text() == "kept"

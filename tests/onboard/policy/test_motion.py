@@ -139,7 +139,7 @@ def test_the_contract_says_where_it_stands_and_what_it_is(terms: dict[str, Any])
 
 
 def test_its_inputs_are_printed_as_a_table(made: Path) -> None:
-    example = runpy.run_path(str(Path(__file__).parents[2] / "docs/figures/inputs_table.py"))
+    example = runpy.run_path(str(Path(__file__).parents[3] / "docs/figures/inputs_table.py"))
     table = example["table"](made / "contract.json")
     objects, threats = (
         next(row for row in table.splitlines() if name in row) for name in ("moving objects", "threats;")
