@@ -88,7 +88,7 @@ nitpick_ignore_regex = [
         r".*\._(AcceptedKeys|ClassHistory)|uavrl\.config\.validation\.T|uavrl\.config\.settings\.(TrainerConfig|FlyingConfig)|uavrl\.config\.parts\.Part",
     ),
     (r"py:.*", r"uavrl\.reporting\.(runs\.LeftOut|learning_curves\.curves)|uavrl\.runs\.episodes\.Episode"),
-    (r"py:.*", r"uavrl\.(entries\.Shown|training\.compiled\.LossGradients)|stable_baselines3\..*"),
+    (r"py:.*", r"uavrl\.(shown\.Shown|training\.compiled\.LossGradients)|stable_baselines3\..*"),
     (
         r"py:.*",
         r"uavrl_onboard\.(ros2\.dds|autopilot\.firmware|flight\.(limits|health)|lidar\.scans\.Skipped|mesh|policy\.contract_parts)(\.\w+)?|Contract|FirmwareName|GuardTerms|LiveEpisode|Motion|MotionTerms|MemoryTerms|Network|Vector",

@@ -104,6 +104,22 @@ def off_altitudes(off: np.ndarray, vehicle: Vehicle = VEHICLE) -> np.ndarray:
     return (vehicle.lowest - off).clip(0.0) + (off - vehicle.highest).clip(0.0)
 
 
+def spherical(azimuth: np.ndarray, elevation: np.ndarray, distance: np.ndarray | float = 1.0) -> np.ndarray:
+    """Return the points ``[*B, 3]`` at azimuths and elevations in rad, and distances in m; unit vectors by default.
+
+    Args:
+        azimuth: 0 ahead, positive to the left; of an angle that is measured clockwise, its negative.
+        elevation: positive above the horizon.
+        distance: from the origin.
+
+    Examples:
+        >>> spherical(np.radians([90.0, 0.0]), np.radians([0.0, 30.0]), 2.0).round(3).tolist()
+        [[0.0, 2.0, 0.0], [1.732, 0.0, 1.0]]
+    """
+    across = distance * np.cos(elevation)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), distance * np.sin(elevation)], -1)
+
+
 def world_to_yaw(vectors: np.ndarray, yaw: np.ndarray | float) -> np.ndarray:
     """Turn vectors from world axes into those of yaws in rad.
 

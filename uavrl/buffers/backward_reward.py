@@ -11,8 +11,9 @@ from torchrl.envs.transforms import Transform
 
 from uavrl.buffers.functional import backward_reward, check_labels, window_ends
 from uavrl.buffers.history import TrajectoryHistory
-from uavrl.entries import Shown, after_step, entry, require_whole
+from uavrl.entries import after_step, entry, require_whole
 from uavrl.errors import UavrlError
+from uavrl.shown import Shown
 
 
 class StateClassifier(Protocol):

@@ -5,7 +5,8 @@ from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
 from uavrl.buffers.functional import multi_step_returns
-from uavrl.entries import Shown, entry
+from uavrl.entries import entry
+from uavrl.shown import Shown
 
 
 class MultiStep(Shown, Transform):

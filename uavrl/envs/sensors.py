@@ -14,6 +14,7 @@ import yaml
 
 from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError, did_you_mean
+from uavrl_onboard.geometry import spherical
 from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, FIRING_TIMES, firing_directions
 
 __all__ = ["SENSORS", "LidarSensor", "SensorRays", "lidar_sensor"]
@@ -307,9 +308,7 @@ def _timed(directions: np.ndarray, period: float) -> SensorRays:
 
 def _towards(clockwise: np.ndarray, elevation: np.ndarray) -> np.ndarray:
     """Unit vectors ``float32 [R, 3]``."""
-    across = np.cos(elevation)
-    x, y = across * np.cos(clockwise), -across * np.sin(clockwise)
-    return np.stack([x, y, np.sin(elevation)], axis=-1).astype(np.float32)
+    return spherical(-clockwise, elevation).astype(np.float32)
 
 
 def _read(name: str, path: Path) -> np.ndarray:
@@ -339,10 +338,7 @@ def _read(name: str, path: Path) -> np.ndarray:
     if not np.isfinite(found).all():
         raise UavrlError(f"{told} hold NaN or infinite values: every ray needs a direction.")
     if numbers == 2:
-        azimuth, elevation = np.radians(np.moveaxis(found, -1, 0))
-        found = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], -1
-        )
+        found = spherical(*np.radians(np.moveaxis(found, -1, 0)))
     if not (np.linalg.norm(found, axis=-1) > 1e-6).all():
         raise UavrlError(f"{told} hold a ray of length 0: every ray needs a direction.")
     return np.asarray(found)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from uavrl.envs.limits import OrMapping, settings
 from uavrl.envs.quadrotor import GRAVITY, Airframe
+from uavrl.policies.baselines import wrapped_heading
 from uavrl.policy_protocol import PolicyModule
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.geometry import NEAREST_RETURN, body_to_level, body_to_world, world_to_yaw
@@ -219,14 +220,14 @@ class Planner(PolicyModule):
         """Takes in one step of all vehicles."""
         fresh, attitude = tensordict["is_init"], tensordict["attitude"]
         velocity, yaw = tensordict["velocity"], attitude[:, 2]
-        told = (velocity.double().numpy(), attitude.double().numpy(), fresh[:, 0].numpy())
-        self.memory.look(thinned(tensordict["point_cloud"]).numpy(), *told)
+        cloud = thinned(tensordict["point_cloud"])
+        call_numpy(self.memory.look, cloud, velocity.double(), attitude.double(), fresh[:, 0])
         points, owners = self.memory.recall()
         level = world_to_yaw(points.astype(np.float32), yaw.numpy()[owners])
-        heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
+        heading = wrapped_heading(tensordict["heading_deg"])
         flown, tilted = call_numpy(world_to_yaw, velocity, yaw), tilt_acceleration(attitude)
         return Surroundings(
-            [torch.from_numpy(each) for each in polar_histogram(level, owners, len(yaw))],
+            call_numpy(polar_histogram, level, owners, len(yaw)),
             flown,
             tilted,
             (flown + PERIOD * (1 / LEAN - 1) * tilted) / GAIN,
@@ -234,7 +235,7 @@ class Planner(PolicyModule):
             tensordict["altitude"],
             fresh,
             (TURN_GAIN * heading).clamp(-TURN_LIMIT, TURN_LIMIT),
-            [torch.from_numpy(each) for each in np.split(level, np.searchsorted(owners, np.arange(1, len(yaw))))],
+            call_numpy(np.split, level, np.searchsorted(owners, np.arange(1, len(yaw)))),
             torch.from_numpy(self.memory.places),
             yaw,
             *self._moving(tensordict),

@@ -76,7 +76,7 @@ def look_along(
         >>> look_along(torch.tensor([[2.0, 0.0, 0.0], [1.0, 3.0, 0.0]]), origin, ahead, VFHStarWeights()).free
         tensor([[1.6500]])
     """
-    factors = torch.from_numpy(stretch(costs.near, hull))
+    factors = call_numpy(stretch, costs.near, hull)
     points, starts, directions = (each * factors for each in (points, starts, directions))
     squared = (directions * directions).sum(-1)[:, None]  # [D, 1]
     began = (starts * directions).sum(-1)[..., None]  # [S, D, 1]

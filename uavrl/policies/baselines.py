@@ -37,6 +37,16 @@ LAG = Shield.lag  # s until a commanded velocity is flown
 CORRECTIONS = 10  # of a velocity, after which it is halved where it is still 0.1 m/s too fast
 
 
+def wrapped_heading(heading_deg: Tensor) -> Tensor:
+    """Headings to the goal in degrees as angles in [-π, π) rad.
+
+    Examples:
+        >>> wrapped_heading(torch.tensor([-90.0, 270.0])).tolist()
+        [-1.5707963705062866, -1.5707963705062866]
+    """
+    return torch.deg2rad((heading_deg + 180).remainder(360) - 180)
+
+
 class StraightPolicy(PolicyModule):
     """Turns to the goal on the spot and then flies straight at it at full speed, blind to obstacles.
 
@@ -64,7 +74,7 @@ class StraightPolicy(PolicyModule):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``heading_deg`` and ``altitude``."""
-        heading = torch.deg2rad((tensordict["heading_deg"] + 180).remainder(360) - 180)
+        heading = wrapped_heading(tensordict["heading_deg"])
         limit, fastest_turn = self.max_speed, VEHICLE.yaw_rate_limit
         forward = limit * (heading.abs() < self.cone).float()
         climb = (self.flight_level - tensordict["altitude"]).clamp(-limit, limit)

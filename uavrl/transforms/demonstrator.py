@@ -8,8 +8,9 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Transform
 
-from uavrl.entries import Shown, entry
+from uavrl.entries import entry
 from uavrl.policy_protocol import Acts
+from uavrl.shown import Shown
 
 DEMONSTRATOR_ACTION = "demonstrator_action"
 

@@ -8,7 +8,8 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-from uavrl.entries import Shown, entry
+from uavrl.entries import entry
+from uavrl.shown import Shown
 from uavrl.transforms.observation import BESIDE_SIGNS, HEADING
 from uavrl.transforms.state import MOVING_OBJECTS, REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS

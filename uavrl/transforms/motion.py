@@ -10,6 +10,7 @@ from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 
 from uavrl.entries import entry, entry_spec
+from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.through_time import ThroughTime
 from uavrl_onboard.perception.cells import LASERS
 from uavrl_onboard.perception.motion import OBJECT, MotionSight
@@ -69,7 +70,7 @@ class MovingObjects(ThroughTime):
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.max_range, self.objects, self.every, self.period = max_range, objects, every, period
         self._sight: MotionSight | None = None
-        self._last = np.zeros((0, objects, len(OBJECT)), np.float32)
+        self._last = torch.zeros(0, objects, len(OBJECT), dtype=torch.float32)
 
     def look(self, data: TensorDictBase, count: int, which: np.ndarray, begins: bool) -> TensorDictBase:
         """Writes the objects that each sensor sees."""
@@ -77,16 +78,16 @@ class MovingObjects(ThroughTime):
         batch = cloud.shape[:-2]
         if self._sight is None or len(self._last) != count:
             self._sight = MotionSight(count, self.max_range, self.objects, self.period)
-            self._last = np.zeros((count, self.objects, len(OBJECT)), np.float32)
+            self._last = torch.zeros(count, self.objects, len(OBJECT), dtype=torch.float32)
         points = cloud.detach().reshape(count, *cloud.shape[-2:])
         if self.every > 1:
             points = points.unflatten(-2, (-1, LASERS))[:, :: self.every].flatten(1, 2)
-        speeds, angles = (values.detach().reshape(count, 3).cpu().double().numpy() for values in (velocity, attitude))
         if begins:
             self._sight.reset(which)
-        self._last[which] = self._sight.look(points.cpu().numpy(), speeds, angles, which)[which]
-        seen = torch.from_numpy(self._last.reshape(*batch, -1).copy())
-        return data.set(self.out_keys[0], seen.to(cloud.device, cloud.dtype))
+        told = (values.reshape(count, 3).double() for values in (velocity, attitude))
+        found = call_numpy(self._sight.look, points, *told, which)
+        self._last[which] = found[which].to(self._last)
+        return data.set(self.out_keys[0], self._last.reshape(*batch, -1).to(cloud, copy=True))
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Adds the spec of the objects."""

@@ -1,4 +1,4 @@
-"""The one place where tensors become arrays, for the functions of ``uavrl_onboard`` that take NumPy alone."""
+"""Hands tensors to the functions of ``uavrl_onboard``, which take NumPy's arrays alone."""
 
 from collections.abc import Callable
 from typing import Any

@@ -9,7 +9,8 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import ObservationTransform, Transform
 
-from uavrl.entries import Shown, entry, entry_spec
+from uavrl.entries import entry, entry_spec
+from uavrl.shown import Shown
 from uavrl_onboard.perception.observation import Angles
 from uavrl_onboard.vehicle import VEHICLE
 

@@ -9,7 +9,8 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from uavrl.entries import Shown, entry
+from uavrl.entries import entry
+from uavrl.shown import Shown
 
 PRIVILEGED = "privileged"
 

@@ -11,7 +11,8 @@ from torch import Tensor
 from torchrl.data import TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform, TransformedEnv
 
-from uavrl.entries import Shown, entry
+from uavrl.entries import entry
+from uavrl.shown import Shown
 from uavrl_onboard.ranges import Positive
 from uavrl_onboard.vehicle import VEHICLE
 

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn.parameter import UninitializedBuffer
 from torchrl.envs import CatFrames, CatTensors, Compose, ObservationNorm, Transform
 
-from uavrl.entries import Shown
 from uavrl.errors import UavrlError
+from uavrl.shown import Shown
 from uavrl.transforms.icosahedron import TruncatedIcosahedron
 from uavrl.transforms.motion import MovingObjects
 from uavrl.transforms.observation import LastAction, NavigationObservation

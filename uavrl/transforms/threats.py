@@ -7,7 +7,8 @@ from tensordict import NestedKey, TensorDictBase
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from uavrl.entries import Shown, entry, entry_spec
+from uavrl.entries import entry, entry_spec
+from uavrl.shown import Shown
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.perception.motion import threats

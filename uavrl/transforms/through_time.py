@@ -7,8 +7,9 @@ import numpy as np
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
-from uavrl.entries import Shown, entry
+from uavrl.entries import entry
 from uavrl.errors import UavrlError
+from uavrl.shown import Shown
 
 
 class ThroughTime(Shown, Transform):

@@ -10,6 +10,7 @@ from uavrl.errors import extras
 from uavrl.evaluation.recording import RecordedFlight, Scenery
 from uavrl.viewer.colours import GOAL
 from uavrl.viewer.scene import SceneRenderer, View, rgb
+from uavrl_onboard.geometry import spherical
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.pages.shapes import BODY, shell
 
@@ -111,8 +112,7 @@ class CellsPanel:
         azimuth = np.pi - (np.arange(width) + 0.501) * 2 * np.pi / width  # no ray along a border of cells
         elevation = np.radians(self._steepest) * (1 - (np.arange(height) + 0.5) * 2 / height)
         elevation, azimuth = (angle.ravel() for angle in np.meshgrid(elevation, azimuth, indexing="ij"))
-        flat = np.cos(elevation)
-        rays = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], 1).astype(np.float32)
+        rays = spherical(azimuth, elevation).astype(np.float32)
         met = scene.run(np.zeros_like(rays), rays, output=1)["primID"]
         self._of = np.where(met < 0, -1, drawn.faces[met]).reshape(height, width)
         across, down = np.diff(self._of, axis=1) != 0, np.diff(self._of, axis=0) != 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import NEAREST_RETURN
+from uavrl_onboard.geometry import NEAREST_RETURN, spherical
 from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, CYCLE, LASER_ELEVATIONS, LASER_INTERVAL
 
 PORT = 2368  # UDP, of data packets
@@ -161,6 +161,4 @@ def decode_vlp16(packets: list[bytes]) -> np.ndarray:
     hit = distance > NEAREST_RETURN
     azimuth, distance = azimuth[hit], distance[hit]
     elevation = np.broadcast_to(elevation, hit.shape)[hit]
-    across = distance * np.cos(elevation)
-    points = (across * np.cos(azimuth), -across * np.sin(azimuth), distance * np.sin(elevation))
-    return np.stack(points, -1).astype(np.float32)
+    return spherical(-azimuth, elevation, distance).astype(np.float32)

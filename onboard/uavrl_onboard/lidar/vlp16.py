@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from uavrl_onboard.geometry import spherical
 from uavrl_onboard.perception.cells import AZIMUTH_STEP
 
 __all__ = [
@@ -42,6 +43,4 @@ def firing_directions() -> np.ndarray:
     """
     azimuth = _SPIN_RATE * FIRING_TIMES
     elevation = np.radians(np.tile(np.asarray(LASER_ELEVATIONS, dtype=np.float64), AZIMUTH_STEPS))
-    x = np.cos(elevation) * np.cos(azimuth)
-    y = -np.cos(elevation) * np.sin(azimuth)
-    return np.stack([x, y, np.sin(elevation)], axis=-1).astype(np.float32)
+    return spherical(-azimuth, elevation).astype(np.float32)

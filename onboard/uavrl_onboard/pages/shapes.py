@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
+from uavrl_onboard.geometry import spherical
 from uavrl_onboard.mesh import Mesh, loft
 from uavrl_onboard.perception.cells import (
     VLP16_GRID,
@@ -92,8 +93,7 @@ def belt(radius: float) -> Shell:
     edges = np.radians([grid.elevation[0], *grid.row_borders, grid.elevation[1]])
     middles = (np.arange(grid.columns) - 0.5) * (2 * np.pi / grid.columns)
     azimuth, elevation = np.meshgrid(middles, edges, indexing="ij")
-    across = np.cos(elevation)
-    vertices = radius * np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], -1)
+    vertices = radius * spherical(azimuth, elevation)
     right = np.arange(azimuth.size).reshape(azimuth.shape)
     left = np.roll(right, -1, 0)
     corners = np.stack([right[:, :-1], left[:, :-1], left[:, 1:], right[:, 1:]], -1).reshape(-1, 4)

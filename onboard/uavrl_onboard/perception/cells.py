@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import NEAREST_RETURN
+from uavrl_onboard.geometry import NEAREST_RETURN, spherical
 
 Statistic = Literal["face", "range", "proximity"]
 
@@ -247,5 +247,4 @@ def grid_directions(azimuths: int, elevations: Sequence[float]) -> np.ndarray:
     """
     around = np.arange(azimuths) * (math.tau / azimuths)
     azimuth, elevation = (part.ravel() for part in np.meshgrid(around, np.asarray(elevations), indexing="ij"))
-    across = np.cos(elevation)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], -1)
+    return spherical(azimuth, elevation)
