@@ -21,14 +21,14 @@ def table(contract: Path) -> str:
         state, size = terms["state"], sum(entry["size"] for entry in terms["observation"])
         frames, first = state["frames"], f"{state['padding']:g}"
         sentence = (
-            f"{state['size']} numbers of {state['dtype']}, {terms['rate_hz']:g} times a second: {frames} observations "
-            f"of {size} numbers, {state['order']} ({state['size'] - size}–{state['size'] - 1} are of now), with "
-            f"{first} before the first."
+            f"{state['size']} numbers ({state['dtype']}), {terms['rate_hz']:g} times per second. They are {frames} "
+            f"observations of {size} numbers each, {state['order']}: the numbers {state['size'] - size} to "
+            f"{state['size'] - 1} are the present observation. Observations before the first are {first}."
         )
         rows = list(_rows(terms))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UavrlError(f"Expected a contract.json, as uavrl-export writes it, in {contract}: {error!r}.") from error
-    return "\n".join([sentence, "", "| of an observation | what | scaled |", "|---|---|---|", *rows, ""])
+    return "\n".join([sentence, "", "| numbers of an observation | quantity | scaling |", "|---|---|---|", *rows, ""])
 
 
 def _rows(terms: dict[str, Any]) -> Iterator[str]:
@@ -42,7 +42,7 @@ def _rows(terms: dict[str, Any]) -> Iterator[str]:
 
 def _meaning(name: str, terms: dict[str, Any]) -> str:
     if name == "cells":
-        return f"cells, {_cells(terms['cells'])}"
+        return _cells(terms["cells"])
     if name == "moving_objects":
         motion = terms["motion"]
         return f"the nearest {motion['objects']} moving objects, each {', '.join(motion['object'])}; {motion['frame']}"
@@ -56,12 +56,13 @@ def _cells(cells: dict[str, Any]) -> str:
     if "columns" in cells:
         borders = " and ".join(f"{border:g}" for border in cells["row_borders"])
         where = (
-            f"{cells['columns']} columns of {cells['width']:g}°, ahead first and then to the left, in each "
-            f"{cells['rows']} rows from below, parted at {borders}°"
+            f"{cells['count']} cells: {cells['columns']} columns of {cells['width']:g}°, the first one straight ahead, "
+            f"the next ones to its left. Each column has {cells['rows']} rows, the lowest first, with borders at "
+            f"{borders}°"
         )
     near = cells["statistic"] == "proximity"
     told = f"{cells['radius']:g} m minus {cells['length']}" if near else cells["length"]
-    return f"{where}; {told}, for the nearest point in the cell, and 0 where it has none"
+    return f"{where}. A cell is {told}, for the nearest point in it, and 0 if it is empty"
 
 
 def _scaled(entry: dict[str, Any], terms: dict[str, Any]) -> str:

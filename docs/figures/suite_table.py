@@ -20,7 +20,8 @@ WORLDS = {
     "real": "the ten valleys with all effects below",
     "real_vehicle": "mass and inertia ± 20 %, thrust ± 15 %, motors half to twice as slow, drag ± 50 %",
     "real_delay": "actions and scans each up to 0.1 s late",
-    "real_sensor": "up to: LiDAR tilted by 3°, noise 3 cm, dropout 10 %, blind for 60°; altitude 0.2 m, heading 5° off",
+    "real_sensor": "LiDAR turned and tilted by up to 3°, noise up to 3 cm, dropout up to 10 %, blind sector up to 60°; "
+    "altitude wrong by up to 0.2 m, heading by up to 5°",
     "real_wind": "wind up to 2 m/s, gusts up to 0.5 m/s",
 }
 

@@ -224,19 +224,39 @@ def _summary(plain: Mapping[str, Any], about: Mapping[str, Any], contract: Contr
     trained = f", trained with {algo} for {pluralize(steps, 'environment step')}" if isinstance(steps, int) else ""
     if contract is None:
         return f"A policy of the TorchRL library uavrl{trained}."
+    *inputs, last = _inputs(contract)
     return (
-        f"A policy that flies a quadrotor to a goal{trained}. Its inputs are the distances in {contract.cells.count} "
-        f"directions up to {contract.cells.radius:g} m from a LiDAR, its altitude and the direction to the goal, over "
+        f"A policy that flies a quadrotor to a goal{trained}. Its inputs are {', '.join(inputs)} and {last}, over "
         f"{contract.state.frames} time steps. Its output is a velocity and a yaw rate, {contract.rate_hz:g} times per "
         "second."
     )
 
 
+def _inputs(contract: Contract) -> list[str]:
+    """The quantities of an observation, in words."""
+    cells, motion = contract.cells, contract.motion
+    inputs = [
+        f"how near the closest obstacle is in {cells.count} directions (up to {cells.radius:g} m, from a LiDAR)",
+        "the altitude",
+        "the direction to the goal",
+    ]
+    if motion is not None:
+        inputs += [
+            f"the {motion.objects} nearest moving objects (up to {motion.max_range:g} m)",
+            "the threat that they are in each direction",
+        ]
+    return [*inputs, *(["the last action"] if contract.action_limit is not None else [])]
+
+
 def _limits(contract: Contract | None) -> list[str]:
     limits = ["The policy was trained and evaluated in simulation only. The card reports no flight of a real vehicle."]
     if contract is not None:
+        radius, motion = f"{contract.cells.radius:g} m", contract.motion
+        sensed = f"obstacles up to {radius} away"
+        if motion is not None:
+            sensed = f"static obstacles up to {radius} and moving obstacles up to {motion.max_range:g} m away"
         limits += [
-            f"It senses obstacles up to {contract.cells.radius:g} m away, within the field of view of its LiDAR.",
+            f"It senses {sensed}, within the field of view of its LiDAR.",
             "It does not guarantee a minimum clearance, with or without guards.",
         ]
     return limits
