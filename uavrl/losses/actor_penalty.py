@@ -1,4 +1,4 @@
-"""How a term joins the actor's objective of any actor–critic loss, and how the models that it needs are trained."""
+"""Actor penalties: terms in the actor's objective of any actor–critic loss, and the models that they train."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Sample = Callable[[int], TensorDictBase]
 
 
 def any_number(sample: Sample) -> Sample:
-    """Return a function that draws n transitions; ``buffer.sample`` warns where n is not the buffer's batch size.
+    """Return a function that draws n transitions without the warning of ``buffer.sample`` about its batch size.
 
     Examples:
         >>> from torchrl.data import LazyTensorStorage
@@ -47,12 +47,12 @@ class AuxiliaryModel:
     """A model that an actor penalty trains: at each update by ``loss``, after each episode by ``on_episode``, or both.
 
     Attributes:
-        parameters: what Adam moves; none where ``on_episode`` has a rule of its own.
-        lr: Adam's step.
+        parameters: the parameters that Adam updates; empty if ``on_episode`` updates the model without Adam.
+        lr: learning rate of Adam.
         loss: returns the reduced loss of the critics' batch ``[B]``, and metadata.
         on_update: receives that metadata after each step.
-        on_episode: trains after new episodes; takes a function that draws n stored transitions, the number of new
-            steps, and Adam (None without parameters).
+        on_episode: trains the model after new episodes. Its arguments are a function that draws n stored transitions,
+            the number of new steps, and Adam (None without parameters).
     """
 
     parameters: list[Tensor]
@@ -63,10 +63,10 @@ class AuxiliaryModel:
 
 
 def _shared(name: str) -> property:
-    """An attribute that a loss and the penalties around it have in common: it is the loss's."""
+    """Return a property that reads and sets the attribute of the base."""
 
     def put(self: ActorPenalty, value: Any) -> None:
-        if "base" in self._modules:  # TorchRL's constructor sets some before there is a base
+        if "base" in self._modules:  # TorchRL's constructor sets some attributes before the base exists
             setattr(self.base, name, value)
 
     return property(lambda self: getattr(self.base, name), put)
@@ -81,8 +81,8 @@ class ActorPenalty(ActorCriticLoss, LossModule):
     of the actor's actions: ``TD3Loss``, ``DDPGLoss``, ``SACLoss``, ``REDQLoss``, ``CrossQLoss`` and their subclasses.
     Its actor loss stays as its class computes it, and the term is added.
 
-    They nest: ``LifeGuard(Fork(TD3Loss(...)))``. Networks, methods and settings that a penalty does not have are those
-    of ``base``: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``, ``loss.reduction = "sum"``.
+    You can nest penalties: ``LifeGuard(Fork(TD3Loss(...)))``. A penalty passes on the networks, methods and settings of
+    its ``base``: ``loss.target_actor_network_params``, ``SoftUpdate(loss, tau=0.005)``, ``loss.reduction = "sum"``.
 
     Args:
         base: the loss to add the term to, or another actor penalty.
@@ -101,16 +101,16 @@ class ActorPenalty(ActorCriticLoss, LossModule):
     default_keys = _AcceptedKeys
 
     learns_from_single_steps: ClassVar[bool] = True
-    """Whether its models need states that lie one step apart, so that n-step returns would mislead them."""
+    """True if its models need states that are one step apart, so that you cannot use n-step returns."""
 
     relative: ClassVar[bool] = False
-    """Whether the term counts as a share of the objective's mean absolute value, so that it stays while values grow."""
+    """True if the term is multiplied by the mean absolute value of the objective, so that both grow together."""
 
     reads_last_action: ClassVar[bool] = False
-    """Whether its term needs states that end with the action that led to them."""
+    """True if its term needs states that end with the last action."""
 
     computed: ClassVar[Mapping[str, str]] = {}
-    """The names of numbers that cannot be set, with the names of the numbers that determine them."""
+    """Attributes that you cannot set, with the names of the attributes that determine them."""
 
     reduction = _shared("reduction")
     use_prioritized_weights = _shared("use_prioritized_weights")
@@ -121,7 +121,7 @@ class ActorPenalty(ActorCriticLoss, LossModule):
     value_estimator = _shared("value_estimator")
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Notes when an instance is complete: from then on, attributes that it does not have cannot be set."""
+        """Record when an instance is complete; after that, setting an attribute that it does not have is an error."""
         super().__init_subclass__(**kwargs)
         if (construct := cls.__dict__.get("__init__")) is None:
             return
@@ -140,7 +140,7 @@ class ActorPenalty(ActorCriticLoss, LossModule):
             self._refuse_other_objective(inner.unwrapped)
         super().__init__()
         self.base = base
-        self._has_update_associated = base._has_update_associated  # one updater serves both
+        self._has_update_associated = base._has_update_associated  # an updater of the penalty is one of the base
         self.out_keys = list(dict.fromkeys(base.out_keys))
         names = self._AcceptedKeys.__dataclass_fields__
         for keys in (inner.unwrapped.tensor_keys, base.tensor_keys):
@@ -154,7 +154,7 @@ class ActorPenalty(ActorCriticLoss, LossModule):
             self.tensor_keys.action = action
 
     def _refuse_other_objective(self, base: LossModule) -> None:
-        """A loss of TorchRL computes its objective itself: it can be added to, and not be replaced."""
+        """Refuse a penalty that replaces the objective of TorchRL's loss, which allows only added terms."""
         if type(self).actor_objective is not ActorPenalty.actor_objective:
             raise UavrlError(
                 f"{type(self).__name__} replaces the actor's objective and needs a loss of uavrl.losses, got "
@@ -163,32 +163,32 @@ class ActorPenalty(ActorCriticLoss, LossModule):
 
     @abstractmethod
     def actor_term(self, acted: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """What is added to the objective of each sample ``[*B]``, and detached metadata."""
+        """Return the term to add to the objective of each sample ``[*B]``, and detached metadata."""
 
     @property
     def active(self) -> bool:
-        """Whether the term counts now; a recorded update holds as long as this does not change."""
+        """True if the term is added now. A recorded update stays valid until this changes."""
         return True
 
     @property
     def models(self) -> list[AuxiliaryModel]:
-        """The models that the term needs trained."""
+        """The models that are trained for the term."""
         return []
 
     def model_losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
-        """The losses ``loss_*`` of the models, for :meth:`forward`."""
+        """Return the losses ``loss_*`` of the models for :meth:`forward`."""
         return {}
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """What :meth:`forward` reads."""
+        """The keys that :meth:`forward` reads."""
         return self._inner.in_keys
 
     def _accepted_keys(self) -> set[str]:
         return super()._accepted_keys() | self._inner._accepted_keys()
 
     def set_keys(self, **kwargs: NestedKey | None) -> None:
-        """Renames keys here and in the base, wherever they are known; None restores a default.
+        """Rename keys in this penalty and in its base, wherever they are known; None restores the default.
 
         Raises:
             ValueError: for a key that none of the losses knows.
@@ -201,13 +201,13 @@ class ActorPenalty(ActorCriticLoss, LossModule):
         super().set_keys(**{name: key for name, key in kwargs.items() if name in own})
 
     def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
-        """Does nothing: the base has told its estimator."""
+        """Do nothing, because the base has already passed its keys to its estimator."""
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The losses below on transitions ``[*B]``, with the terms in ``loss_actor``, and the losses of the models."""
+        """Return the losses of base and models on transitions ``[*B]``; ``loss_actor`` includes the terms."""
         losses = self.unwrapped(tensordict)
-        for penalty in reversed(self.penalties):  # first: the actor's term may depend on how good the models are
+        for penalty in reversed(self.penalties):  # the actor's term may depend on these losses
             losses.update(penalty.model_losses(tensordict))
         if isinstance(self.unwrapped, ActorCriticLoss):
             loss_actor, metadata = self.actor_loss(tensordict)
@@ -216,27 +216,27 @@ class ActorPenalty(ActorCriticLoss, LossModule):
         return losses.update({"loss_actor": loss_actor, **metadata})
 
     def named_children(self) -> Iterator[tuple[str, nn.Module]]:
-        """Its modules, and the base's target networks: TorchRL's updaters look for them here."""
+        """Iterate over its modules and the target networks of the base, which TorchRL's updaters look for here."""
         yield from super().named_children()
         yield from (pair for pair in self.base.named_children() if pair[0].startswith("target_"))
 
     def children(self) -> Iterator[nn.Module]:
-        """Its modules."""
+        """Iterate over its modules."""
         return (module for _, module in super().named_children())
 
     def __getattr__(self, name: str) -> Any:
-        """The base's public attributes, its networks and their parameters among them, where there is none here."""
+        """Return a public attribute of the base, such as a network or its parameters, if the penalty has none."""
         modules = self.__dict__.get("_modules", {})
         if "base" not in modules or name.startswith("_"):
             return super().__getattr__(name)
-        if "_network" not in name and "_is_complete" not in self.__dict__:  # its constructor asks what there is already
+        if "_network" not in name and "_is_complete" not in self.__dict__:  # its constructor tests what exists
             return super().__getattr__(name)
         if name.removeprefix("target_") in modules or _holds(self, name):
             return super().__getattr__(name)
         return getattr(modules["base"], name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Sets what the penalty has, or what its base has; nothing else, once the penalty is complete."""
+        """Set an attribute of the penalty or of its base; once the penalty is complete, refuse any other."""
         if name.startswith("_") or "_is_complete" not in self.__dict__:
             super().__setattr__(name, value)
         elif name in self.computed and not isinstance(value, Tensor):
@@ -251,13 +251,13 @@ class ActorPenalty(ActorCriticLoss, LossModule):
             raise AttributeError(self._cannot_set(name))
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any) -> None:
-        """Also loads the target entropy, which TorchRL's losses make a buffer when it is first used."""
+        """Also load the target entropy, which becomes a buffer of TorchRL's losses when it is first used."""
         if any(key.startswith(prefix) and "target_entropy" in key for key in state_dict):
             getattr(self.unwrapped, "target_entropy", None)
         super()._load_from_state_dict(state_dict, prefix, *args)
 
     def _refresh(self) -> None:
-        """Computes anew what follows from the settings and from what was observed."""
+        """Recompute the values that depend on the settings and on the observed episodes."""
 
     def _cannot_set(self, name: str) -> str:
         kind = type(self).__name__
@@ -268,13 +268,13 @@ class ActorPenalty(ActorCriticLoss, LossModule):
         return f"Neither {kind} nor the loss below has an attribute {name!r} to set{meant}"
 
     def reset_parameters_recursive(self) -> None:
-        """Draws the weights of all networks anew, the base's and its own; what was observed stays."""
+        """Draw new weights for all networks of the base and the penalty; observed episodes stay."""
         self.base.reset_parameters_recursive()
         super().reset_parameters_recursive()
 
     @property
     def _inner(self) -> ActorCriticLoss | TorchRLLoss:
-        """The base, with the methods that are called here."""
+        """The base with the methods of :class:`ActorCriticLoss`."""
         return adapted(self.base)
 
     @property
@@ -289,36 +289,36 @@ class ActorPenalty(ActorCriticLoss, LossModule):
 
     @property
     def critic_network_params(self) -> TensorDictParams:
-        """The parameters that the critic's optimiser moves."""
+        """The parameters that the critics' optimiser updates, as TorchRL stores them."""
         return self._inner.critic_network_params
 
     @property
     def alpha_params(self) -> list[Tensor]:
-        """The base's."""
+        """The parameters that :meth:`alpha_loss` of the base trains."""
         return self._inner.alpha_params
 
     def alpha_loss(self, *args: Any, **kwargs: Any) -> Tensor:
-        """The base's."""
+        """Return the base's loss of the temperature."""
         return self.base.alpha_loss(*args, **kwargs)
 
     def observe(self, episodes: TensorDictBase) -> None:
-        """Takes whole new episodes ``[T]``, end to end, each of them once; so does the base."""
+        """Pass new whole episodes ``[T]``, one after the other, to the base; each episode comes once."""
         self._inner.observe(episodes)
 
     def diagnostics(self) -> dict[str, float]:
-        """Numbers to log, the base's among them."""
+        """Return numbers to log, including those of the base."""
         return self._inner.diagnostics()
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """The base's action."""
+        """Return the states with the base's actions."""
         return self._inner.act(tensordict)
 
     def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
-        """The base's value."""
+        """Return the base's value."""
         return self._inner.action_value(acted, target=target)
 
     def actor_objective(self, acted: TensorDictBase, *, target: bool = False) -> tuple[Tensor, dict[str, Tensor]]:
-        """The base's objective, and the term while it is active."""
+        """Return the base's objective plus the term if it is active, and metadata."""
         objective, metadata = self.base.actor_objective(acted, target=target)
         if not self.active:
             return objective, metadata
@@ -326,24 +326,24 @@ class ActorPenalty(ActorCriticLoss, LossModule):
         return objective + term, metadata | own
 
     def _scaled_term(self, acted: TensorDictBase, objective: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """The term ``[*B]``, as a share of the objective ``[*B]`` where it is relative, and metadata."""
+        """Return the term ``[*B]``, scaled by the objective ``[*B]`` if it is relative, and metadata."""
         term, metadata = self.actor_term(acted)
         return (objective.detach().abs().mean() * term if self.relative else term), metadata
 
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The actor's reduced loss on states ``[*B]`` with the active terms, and detached metadata."""
+        """Return the actor's reduced loss on states ``[*B]`` with the active terms, and detached metadata."""
         if isinstance(self.unwrapped, ActorCriticLoss):
             return super().actor_loss(tensordict)
         return self._with_terms(*TorchRLLoss(self.unwrapped).actor_loss(tensordict), tensordict)
 
     def loss_actor(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The name that TorchRL's ``DDPGLoss`` has for :meth:`actor_loss`."""
+        """Return :meth:`actor_loss`, under its name in TorchRL's ``DDPGLoss``."""
         return self.actor_loss(tensordict)
 
     def _with_terms(
         self, loss: Tensor, metadata: dict[str, Tensor], tensordict: TensorDictBase
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """The reduced actor loss of TorchRL's class, with the active terms of all penalties around it, and metadata."""
+        """Return the reduced actor loss of TorchRL's class plus the active terms of all penalties, and metadata."""
         active = [penalty for penalty in reversed(self.penalties) if penalty.active]
         if not active:
             return loss, metadata
@@ -357,20 +357,20 @@ class ActorPenalty(ActorCriticLoss, LossModule):
         return loss + root.reduced(total, tensordict), metadata
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
-        """The base's; the γ of FORK's predicted steps is an argument of FORK."""
+        """Make the base's value estimator; the γ of FORK's predicted steps is an argument of FORK."""
         self.base.make_value_estimator(value_type, **hyperparams)
         return self
 
     def set_vmap_randomness(self, value: str) -> None:
-        """The base's."""
+        """Set the randomness of the base's vmap."""
         self.base.set_vmap_randomness(value)
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
-        """The base's method of this name: the critic's loss, where its class calls it so."""
+        """Return the critics' loss of the base, if its class has a method of this name."""
         return self.base.value_loss(tensordict)
 
 
 def _holds(module: nn.Module, name: str) -> bool:
-    """Whether the instance itself has an attribute, parameter, buffer or module of that name."""
+    """Return whether the instance itself has an attribute, parameter, buffer or module of that name."""
     state = module.__dict__
     return name in state or any(name in state.get(kind, {}) for kind in ("_parameters", "_buffers", "_modules"))

@@ -1,7 +1,8 @@
-"""What PX4 or ArduPilot does with commands and set-points, for a simulated vehicle: no socket and no clock.
+"""The modes of PX4 or ArduPilot for a simulated vehicle, without a socket or a clock.
 
-PX4's rules are those of its documentation, with COM_OBL_RC_ACT at 5 (hold): it refuses Offboard before set-points have
-come for a second, and leaves it a second after the last one. ArduPilot stays in GUIDED, and stops after 3 s.
+The rules for PX4 come from its documentation, with COM_OBL_RC_ACT set to 5 (hold). PX4 refuses Offboard until it has
+received set-points for one second, and leaves Offboard one second after the last set-point. ArduPilot stays in GUIDED
+and stops the vehicle after 3 s.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ _logger = logging.getLogger(__name__)
 
 FirmwareName = Literal["px4", "ardupilot"]
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED = range(5)  # MAV_RESULT
-OFFBOARD_LOSS = 1.0  # s without set-points until PX4 leaves Offboard (COM_OF_LOSS_T)
-GUIDED_TIMEOUT = 3.0  # s without set-points until ArduPilot stops (GUID_TIMEOUT)
-_SLACK = 0.05  # s by which a second of set-points may seem shorter to whom receives them
-_FORCE = 21196.0  # second parameter of an arming command that is obeyed in the air
+OFFBOARD_LOSS = 1.0  # s without set-points after which PX4 leaves Offboard (COM_OF_LOSS_T)
+GUIDED_TIMEOUT = 3.0  # s without set-points after which ArduPilot stops the vehicle (GUID_TIMEOUT)
+_SLACK = 0.05  # s by which a second of set-points may be shorter at the receiver than at the sender
+_FORCE = 21196.0  # second parameter of a command that disarms the vehicle even in the air
 _SET_MODE, _ARM, _REQUEST, _INTERVAL, _VERSION_REQUEST = 176, 400, 512, 511, 520  # MAV_CMD
 _WARNING, _INFO = 4, 6  # MAV_SEVERITY
 AUTOPILOT_VERSION = 148
@@ -35,18 +36,18 @@ def _px4_custom_mode(main: float, within: float) -> int:
 
 
 class Dialect(NamedTuple):
-    """What a firmware's modes are in numbers."""
+    """The numbers of a firmware's modes."""
 
     autopilot: int  #: MAV_AUTOPILOT
-    start: int  #: ``custom_mode`` in which the vehicle hovers at the start
-    ours: int  #: in which it obeys set-points
-    pilot: int  #: which the pilot takes
-    custom_mode: Callable[[float, float], int]  #: of the second and third parameter of MAV_CMD_DO_SET_MODE
-    not_landed: int  #: MAV_RESULT for a command to disarm in the air
+    start: int  #: ``custom_mode`` at the start, in which the vehicle hovers
+    ours: int  #: ``custom_mode`` in which the vehicle follows set-points
+    pilot: int  #: ``custom_mode`` after the pilot has taken over
+    custom_mode: Callable[[float, float], int]  #: makes it of the second and third parameter of MAV_CMD_DO_SET_MODE
+    not_landed: int  #: MAV_RESULT that answers a command to disarm in the air
 
     @property
     def firmware(self) -> Firmware:
-        """Its names."""
+        """The firmware with its mode names."""
         return FIRMWARES[self.autopilot]
 
 
@@ -57,47 +58,54 @@ DIALECTS: dict[FirmwareName, Dialect] = {
 
 
 class SimulatedAutopilot:
-    """The modes of an autopilot whose vehicle is in the air, and its answers.
+    """An autopilot whose vehicle is in the air: it changes its mode and answers commands.
 
     Args:
         messages: pymavlink's messages.
-        firmware: which autopilot's rules it follows.
-        armed: whether it is armed at the start; a vehicle that is not hangs where it is until it is armed.
+        firmware: the autopilot whose rules it follows.
+        armed: whether it is armed at the start. A vehicle that is not armed hovers until it is.
 
     Attributes:
         mode: ``custom_mode`` of its heartbeat.
         armed: whether the motors run.
-        answers: messages that wait to be sent.
+        answers: messages to send.
         changes: time in s, mode and reason of each change of the mode.
-        requested: set an interval or give a message, for :class:`uavrl.sitl.telemetry.Telemetry`.
-        system: its MAVLink system id.
+        set_interval: sets the interval of a message, for :class:`uavrl.sitl.telemetry.Telemetry`.
+        request: requests a message, likewise.
+        system: MAVLink system id.
     """
 
     def __init__(self, messages: ModuleType, firmware: FirmwareName = "px4", *, armed: bool = True) -> None:
         self._messages, self.dialect = messages, DIALECTS[firmware]
         self.mode, self.armed, self.system = self.dialect.start, armed, 1
-        self.fell = False  #: whether it was disarmed in the air
+        self.fell = False  #: True after it was disarmed in the air
         self.answers: list[Any] = []
         self.changes: list[tuple[float, str, str]] = [(0.0, self.mode_name, "start")]
-        self.setpoints = 0  #: how many were obeyed
+        self.setpoints = 0  #: number of set-points that it has followed
         self.set_interval: Callable[[int, float], bool] = lambda number, interval: False
         self.request: Callable[[int], bool] = lambda number: False
-        self._stream: tuple[float, float] | None = None  # of its first and its latest set-point
+        self._stream: tuple[float, float] | None = None  # times of the first and the latest set-point
         self._setpoint: Setpoint | None = None
         self._told = ""
 
     @property
     def mode_name(self) -> str:
-        """The name of its mode."""
+        """The name of the mode."""
         return self.dialect.firmware.mode_name(self.mode)
 
     @property
     def in_control(self) -> bool:
-        """Whether set-points are obeyed."""
+        """True if the vehicle follows set-points."""
         return self.armed and self.mode == self.dialect.ours
 
     def hear(self, message: Any, now: float, yaw: float) -> None:
-        """Takes in one message that arrived at ``now``, when the vehicle had a yaw in rad (from east to the left)."""
+        """Handle a message that arrived at ``now``.
+
+        Args:
+            message: of MAVLink.
+            now: time in s.
+            yaw: of the vehicle in rad, counterclockwise from east.
+        """
         kind = message.get_type()
         if kind == "BAD_DATA" or getattr(message, "target_system", 0) not in (0, self.system):
             return
@@ -117,16 +125,16 @@ class SimulatedAutopilot:
             self.answers.append(self._messages.MAVLink_ping_message(message.time_usec, message.seq, *sender))
 
     def tick(self, now: float) -> None:
-        """Leaves Offboard where set-points have ceased."""
+        """Leave Offboard if no set-points have come for too long."""
         if self._is_px4 and self.mode == self.dialect.ours and self._age(now) > OFFBOARD_LOSS:
             self._change(self.dialect.start, now, f"no set-point for {OFFBOARD_LOSS:g} s")
 
     def take_over(self, now: float) -> None:
-        """The pilot takes the mode away."""
+        """Change to the pilot's mode."""
         self._change(self.dialect.pilot, now, "the pilot took over")
 
     def setpoint(self, now: float) -> Setpoint | None:
-        """What the vehicle is to follow; None where it hovers."""
+        """Return the set-point that the vehicle follows; None if it hovers."""
         stale = not self._is_px4 and self._age(now) > GUIDED_TIMEOUT
         return self._setpoint if self.in_control and not stale else None
 
@@ -135,11 +143,11 @@ class SimulatedAutopilot:
         return self.dialect is DIALECTS["px4"]
 
     def _age(self, now: float) -> float:
-        """Of the latest set-point."""
+        """Return the age of the latest set-point in s."""
         return math.inf if self._stream is None else now - self._stream[1]
 
     def _streams(self, now: float) -> bool:
-        """Whether set-points have come for a second, more than two each second."""
+        """Return whether set-points have come for a second at more than 2 Hz."""
         if self._stream is None or self._age(now) > GAP:
             return False
         return now - self._stream[0] >= STREAM - _SLACK
@@ -157,7 +165,7 @@ class SimulatedAutopilot:
             self.setpoints += 1
 
     def _obey(self, command: int, parameters: list[float], now: float) -> int:
-        """Obeys a command; returns a MAV_RESULT."""
+        """Execute a command and return a MAV_RESULT."""
         whole = [each if math.isfinite(each) and abs(each) < 2**31 else 0.0 for each in parameters]
         if command == _SET_MODE:
             known = int(whole[0]) & 1 and 0 <= whole[1] < 256 and 0 <= whole[2] < 256
@@ -199,7 +207,7 @@ class SimulatedAutopilot:
         self._say(f"{self.mode_name}: {reason}", _INFO)
 
     def _say(self, text: str, severity: int) -> None:
-        """Tells it once, until something else is told."""
+        """Send and log a text, unless it was the last one."""
         if text != self._told:
             self._told = text
             _logger.info("Vehicle: %s", text)

@@ -1,7 +1,7 @@
-"""The safety layer between a policy and the autopilot: a state machine that has no sockets and no clock of its own.
+"""The safety layer between a policy and the autopilot: a state machine without sockets and without a clock.
 
-Each cycle `SafetyLayer.step` gets the time, the policy's action and what is known of the scan and the pose, and answers
-with a set-point, or with none: then nothing may be sent. Its record names the state and the reason.
+In each cycle, `SafetyLayer.step` receives the time, the policy's action, and the age and numbers of scan and pose. It
+returns a record with the state, the reason and the set-point. If the set-point is None, nothing may be sent.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from uavrl_onboard.flight.limits import SafetyLimits, distance_outside, limit
 from uavrl_onboard.vehicle import VEHICLE
 
 SetPoint = tuple[float, float, float, float]
-"""Forward, left and up in m/s and the yaw rate to the left in rad/s, as a policy's action."""
+"""Velocities forward, left and up in m/s and the yaw rate to the left in rad/s, as in a policy's action."""
 
 ZEROS: SetPoint = (0.0, 0.0, 0.0, 0.0)
-_ROUNDING = 1e-6  # s: an age that is at its limit in decimals is within it
-_AHEAD = 0.05  # s that a stamp may lie ahead of the cycle's time
-_CYCLE = VEHICLE.period  # s that a cycle takes, at the policies' rate, where the clock does not say
+_ROUNDING = 1e-6  # s, so that rounding does not push an age over its limit
+_AHEAD = 0.05  # s by which a stamp may be later than the time of the cycle
+_CYCLE = VEHICLE.period  # s, assumed for a cycle in which the clock did not advance
 
 
 class SafetyState(StrEnum):
-    """What the layer does."""
+    """The states of the layer."""
 
-    SILENT = "silent"  #: sends nothing, so that the autopilot refuses Offboard, or leaves it
-    STANDBY = "standby"  #: sends zeros, as all rules hold but the autopilot does not fly by set-points
-    FLYING = "flying"  #: sends the policy's action within its limits
-    FENCED = "fenced"  #: the same, less what leads out of the fence
-    HOLDING = "holding"  #: sends zeros, as a rule is broken or was a moment ago
+    SILENT = "silent"  #: It sends nothing, so the autopilot refuses Offboard or leaves it.
+    STANDBY = "standby"  #: It sends zeros: all rules hold, but the autopilot does not fly by set-points.
+    FLYING = "flying"  #: It sends the policy's action within its limits.
+    FENCED = "fenced"  #: It sends the action without the part that leads out of the fence.
+    HOLDING = "holding"  #: It sends zeros, because a rule is broken or was broken a moment ago.
 
 
 class Reason(StrEnum):
-    """Why it does that."""
+    """The reasons for a state."""
 
     STARTING = "starting"
-    SETTLING = "settling"  #: all rules hold, not yet for long enough
+    SETTLING = "settling"  #: all rules hold, but not yet for long enough
     NOT_IN_CONTROL = "not_in_control"
     IN_CONTROL = "in_control"
     FLOOR = "floor"
@@ -58,12 +58,12 @@ class Reason(StrEnum):
     POSITION_FAR = "position_far"  #: farther from the origin than any vehicle flies
     POSITION_JUMPED = "position_jumped"
     YAW_JUMPED = "yaw_jumped"
-    POSE_RESET = "pose_reset"  #: the autopilot's estimator says so
-    VELOCITY_DISAGREES = "velocity_disagrees"  #: with the position
+    POSE_RESET = "pose_reset"  #: the autopilot reports a reset of its estimator
+    VELOCITY_DISAGREES = "velocity_disagrees"  #: the velocity disagrees with the position
     EMPTY_SCANS = "empty_scans"
-    ODD_RANGES = "odd_ranges"  #: no LiDAR measures them
-    HALF_SCAN = "half_scan"  #: it covers less than its sensor's field of view
-    SCANS_DISAGREE = "scans_disagree"  #: with the pose
+    ODD_RANGES = "odd_ranges"  #: no LiDAR measures such ranges
+    HALF_SCAN = "half_scan"  #: the scan covers less than its sensor's field of view
+    SCANS_DISAGREE = "scans_disagree"  #: the scans disagree with the pose
     OUTSIDE_FENCE = "outside_fence"
     NO_ACTION = "no_action"
     ACTION_NOT_FINITE = "action_not_finite"
@@ -71,16 +71,16 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class Cycle:
-    """What is known in one cycle. All times are in seconds of one clock that runs forward (``time.monotonic``)."""
+    """The inputs of one cycle. All times are in seconds of one monotonic clock (``time.monotonic``)."""
 
     now: float
-    action: Sequence[float] | np.ndarray | None  #: of the policy, (l_x, l_y, l_z, a_z)
-    scan_stamp: float | None  #: when the last packet of the scan arrived that the action was made of
+    action: Sequence[float] | np.ndarray | None  #: the policy's action (l_x, l_y, l_z, a_z)
+    scan_stamp: float | None  #: when the last packet arrived of the scan that the action is based on
     pose_stamp: float | None  #: when the older of position and yaw arrived
     position: Sequence[float] | np.ndarray | None  #: x, y, z in the world's axes, m
     yaw: float | None  #: in the same axes, rad
     in_control: bool  #: whether the autopilot flies by set-points
-    implausible: tuple[Reason, str] | None = None  #: why scan or pose are not believed though they are fresh and finite
+    implausible: tuple[Reason, str] | None = None  #: why a scan or pose is implausible though it is fresh and finite
 
 
 @dataclass(frozen=True)
@@ -90,16 +90,16 @@ class SafetyStatus:
     time: float  #: of the cycle, s
     state: SafetyState
     reason: Reason
-    sentence: str  #: the reason for people
-    changed: bool  #: whether state or reason are others than in the cycle before
+    sentence: str  #: the reason in words
+    changed: bool  #: whether the state or the reason differs from the previous cycle's
     since: float  #: when the state began, s
-    setpoint: SetPoint | None  #: ``None``: nothing may be sent
+    setpoint: SetPoint | None  #: None if nothing may be sent
     limited: tuple[str, ...]  #: which of ``clip``, ``slew`` and ``fence`` changed the action
     scan_age: float | None  #: s
     pose_age: float | None  #: s
 
     def as_dict(self) -> dict[str, Any]:
-        """The record as JSON can write it."""
+        """Return the record as JSON can store it."""
         return asdict(self)
 
 
@@ -107,10 +107,10 @@ _Why = tuple[Reason, str]
 
 
 class SafetyLayer:
-    """The state machine; docs/safety_layer.md has its table.
+    """The state machine whose table is in docs/safety_layer.md.
 
     Args:
-        limits: what passes.
+        limits: the limits of ages, velocities, changes and positions.
 
     Examples:
         >>> layer, position = SafetyLayer(), (0.0, 0.0, 3.5)
@@ -130,10 +130,10 @@ class SafetyLayer:
         self._now: float | None = None
         self._sane_since: float | None = None  # when all rules began to hold
         self._sent = np.zeros(4)
-        self._clockless = 0  # cycles in a row in which the clock did not run
+        self._clockless = 0  # consecutive cycles in which the clock did not advance
 
     def step(self, cycle: Cycle) -> SafetyStatus:
-        """One cycle: what may be sent, and why."""
+        """Return what may be sent in this cycle, and why."""
         fault, elapsed = self._advance(cycle.now)
         self._clockless = self._clockless + 1 if fault and fault[0] is Reason.CLOCK else 0
         now = self._now or 0.0
@@ -163,7 +163,7 @@ class SafetyLayer:
         return SafetyStatus(now, state, reason, sentence, changed, self._since, setpoint, by, *ages)
 
     def _next(self, now: float, fault: _Why | None, in_control: bool) -> tuple[SafetyState, _Why]:
-        """The state that follows, and why; whether the fence is near is not yet considered."""
+        """Return the next state and its reason, before the fence is considered."""
         limits = self.limits
         if fault:
             if self._state is SafetyState.SILENT:
@@ -185,7 +185,7 @@ class SafetyLayer:
         return SafetyState.FLYING, (Reason.IN_CONTROL, "the policy flies")
 
     def _advance(self, now: float) -> tuple[_Why | None, float]:
-        """Moves the layer's time on; the time since the last cycle, and what is wrong with it."""
+        """Advance the layer's time; return what is wrong with the clock, and the time since the last cycle in s."""
         number, before = _numbers([now], 1), self._now
         if number is None or not np.isfinite(number[0]) or (before is not None and number[0] < before):
             return (Reason.CLOCK, f"the clock went from {before} to {now!r}"), 0.0
@@ -196,7 +196,7 @@ class SafetyLayer:
         return None, elapsed
 
     def _stale(self, scan_age: float | None, pose_age: float | None) -> _Why | None:
-        """What is wrong with the ages."""
+        """Return what is wrong with the ages of scan and pose; None if nothing is."""
         no_scan, no_pose = "there is no scan", "the autopilot has sent no position and attitude"
         for what, age, most, none, missing, old, ahead in (
             ("scan", scan_age, self.limits.scan_age, Reason.NO_SCAN, no_scan, Reason.OLD_SCAN, Reason.SCAN_AHEAD),
@@ -211,7 +211,7 @@ class SafetyLayer:
         return None
 
     def _outside(self, place: np.ndarray | None) -> _Why | None:
-        """What is wrong with the position."""
+        """Return how the position violates the fence; None if it does not."""
         if place is None:
             return None
         outside, side = distance_outside(place, self.limits)
@@ -221,7 +221,7 @@ class SafetyLayer:
 
 
 def _no_pose(place: np.ndarray | None, yaw: np.ndarray | None) -> _Why | None:
-    """What is wrong with the numbers of a pose."""
+    """Return what is wrong with the numbers of a pose; None if nothing is."""
     if place is None or yaw is None:
         return Reason.NO_POSE, "a pose is a position of three numbers and a yaw"
     if not (np.isfinite(place).all() and np.isfinite(yaw).all()):
@@ -230,7 +230,7 @@ def _no_pose(place: np.ndarray | None, yaw: np.ndarray | None) -> _Why | None:
 
 
 def _unfit(action: np.ndarray | None) -> _Why | None:
-    """What is wrong with the action."""
+    """Return what is wrong with the action; None if nothing is."""
     if action is None:
         return Reason.NO_ACTION, "there is no action of four numbers"
     if not np.isfinite(action).all():
@@ -239,7 +239,7 @@ def _unfit(action: np.ndarray | None) -> _Why | None:
 
 
 def _numbers(value: Any, count: int) -> np.ndarray | None:
-    """A value as ``float64 [count]``, or ``None`` where it is something else."""
+    """Return a value as ``float64 [count]``; None if it is anything else."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError):
@@ -251,6 +251,6 @@ def _numbers(value: Any, count: int) -> np.ndarray | None:
 
 
 def _age(now: float, stamp: Any) -> float | None:
-    """How old what bears this stamp is, where that is a number."""
+    """Return the age of a stamp in s; None if the stamp is not a finite number."""
     number = _numbers([stamp], 1)
     return float(now - number[0]) if number is not None and math.isfinite(now - number[0]) else None
