@@ -179,7 +179,7 @@ def test_all_that_take_a_configuration_take_a_dict() -> None:
     simulation.close()
     assert VFHStar(airframe={"collision_radius": 0.4}).vehicle.hull[0] == 0.4
     gym = ValleyEnv(world=GIVEN["world"][1], lidar={"max_range": 5.0}, randomize={"mass": (0.9, 1.1)})
-    assert gym._base._lidar_config.max_range == 5.0 and gym._base.randomize == Randomization(mass=(0.9, 1.1))
+    assert gym._base.lidar_config.max_range == 5.0 and gym._base.randomize == Randomization(mass=(0.9, 1.1))
     gym.close()
 
 

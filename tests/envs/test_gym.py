@@ -238,8 +238,8 @@ def test_a_specification_makes_the_same_environment_wherever_it_was_kept(kept: C
     again = gymnasium.make(kept(env.spec))
     assert again.spec is not None and again.spec.max_episode_steps == 7
     one, other = (each.unwrapped._base for each in (env, again))  # type: ignore[attr-defined]
-    assert other._world_config == one._world_config == SMALL
-    assert (other._lidar_config, other.airframe, other.randomize) == tuple(SETTINGS.values())[1:]
+    assert other.world_config == one.world_config == SMALL
+    assert (other.lidar_config, other.airframe, other.randomize) == tuple(SETTINGS.values())[1:]
     assert identical(roll_out(env, 1), roll_out(again, 1))
     env.close()
     again.close()

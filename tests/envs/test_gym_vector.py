@@ -115,7 +115,7 @@ def test_its_specification_survives_json_pickle_and_deepcopy(given: AutoresetMod
         again = gymnasium.make_vec(kept)
         assert isinstance(again, ValleyVectorEnv) and again.num_envs == 2
         assert again.autoreset_mode is AutoresetMode.SAME_STEP
-        assert (again._flights.base._world_config, again._flights.base.max_steps) == (SMALL, 9)
+        assert (again._flights.base.world_config, again._flights.base.max_steps) == (SMALL, 9)
         again.close()
     envs.close()
 

@@ -80,7 +80,7 @@ def test_a_policy_that_was_trained_to_look_less_far_looks_as_far_as_its_guards(
     setup = chosen(*overrides, folder=PACKAGED / "best_dynamic")
     assert setup.guards.evasion is not None and setup.guards.evasion.sight == sight
     env = make_env(setup.env, setup.perception, num_uavs=1, **setup.env_options)
-    assert env.base_env._lidar_config.far_range == reaches
+    assert env.base_env.lidar_config.far_range == reaches
     env.close()
 
 

@@ -123,7 +123,7 @@ def with_sight(
             f"perception.motion={motion:g} looks farther than the LiDAR, which reaches {scanning.farthest:g} m: leave "
             f"{FAR_RANGE} out, choose another env.lidar, or lower perception.motion."
         )
-    return perception if scanning == lidar else {**perception, "lidar": scanning}
+    return perception if scanning.far_range == lidar.far_range else {**perception, "lidar": scanning}
 
 
 def require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:
