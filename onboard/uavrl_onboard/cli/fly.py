@@ -66,8 +66,8 @@ class FlyConfig(LidarKeys):
     Args:
         policy: folder that uavrl-export wrote, with policy.onnx
         goal: [x,y,z] in m from the autopilot's origin: east, north, up; z is the middle of the goal's height
-        lidar: address that the sensor sends to, udp://:2368, or udp://:7502 for an Ouster; ros2:///TOPIC for point clouds of a ROS 2 driver; for a
-            dry run also a recording, as uavrl-scan reads it
+        lidar: address that the sensor sends to, udp://:2368, or udp://:7502 for an Ouster; ros2:///TOPIC for point
+            clouds of a ROS 2 driver; for a dry run also a recording, as uavrl-scan reads it
         autopilot: address that PX4 or ArduPilot sends MAVLink to; ros2:///odom for a vehicle of ROS 2; null for a dry
             run, which sends nothing
         set_mode: ask the autopilot for Offboard (PX4) or GUIDED (ArduPilot); false: the pilot chooses the mode

@@ -29,9 +29,7 @@ class UdpScans:
         UavrlError: for an unknown model, metadata that cannot be read, and where the port cannot be opened.
     """
 
-    def __init__(
-        self, source: str, model: str | None, product: int | None = None, metadata: str | None = None
-    ) -> None:
+    def __init__(self, source: str, model: str | None, product: int | None = None, metadata: str | None = None) -> None:
         self._assembler = make_assembler(model, product, metadata)
         self._packets = UdpPackets(source, self._assembler.port)
         self._senders = OneSender(self._assembler)

@@ -60,7 +60,7 @@ def read_metadata(path: Path) -> OusterFormat:
     except UavrlError:
         raise
     except Exception as error:  # the SDK raises errors of several kinds
-        raise _refused(path, _first_line(error)) from error
+        raise _refused(path, _reason(error)) from error
     fields = set(packets.fields)
     returns = tuple(name for name in ("RANGE", "RANGE2") if name in fields)
     columns, beams = info.format.columns_per_frame, info.format.pixels_per_column
@@ -106,7 +106,7 @@ def _read(path: Path) -> str:
                     raise ValueError(f"{name} is {value!r:.40}, and must be in [1, {most}]")
         return json.dumps(kept, allow_nan=False)
     except (ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise _refused(path, _first_line(error)) from error
+        raise _refused(path, _reason(error)) from error
 
 
 def _are_beams(directions: np.ndarray, origins: np.ndarray) -> bool:
@@ -123,5 +123,7 @@ def _refused(path: Path, reason: str) -> UavrlError:
     )
 
 
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200].rstrip(".")
+def _reason(error: BaseException) -> str:
+    """What an error says, in one line."""
+    said = " ".join(str(error).split()).removeprefix("ERROR: Critical Metadata Issues Exist: ")
+    return (said or type(error).__name__)[:200].rstrip(". ")

@@ -47,8 +47,8 @@ def read_datagrams(path: Path) -> Iterator[tuple[float, bytes, str]]:
 
     Captures are pcap or pcapng; packets come one at a time.
 
-    Everything but whole UDP packets is left out; those that were sent in fragments of IPv4 are joined. A capture that ends in the middle of a packet, or is damaged there,
-    ends before it. A sender is ``ADDRESS:PORT``.
+    Everything but whole UDP packets is left out; those that were sent in fragments of IPv4 are joined. A capture that
+    ends in the middle of a packet, or is damaged there, ends before it. A sender is ``ADDRESS:PORT``.
 
     Raises:
         UavrlError: for a file that is no capture, and if `dpkt` is not installed.
