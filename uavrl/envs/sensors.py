@@ -149,8 +149,8 @@ def _spread(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(np.linspace(high, low, count).round(4).tolist())
 
 
-# The beams of one firing step share its azimuth here. In the devices they lie apart: by up to 22 degrees in an OS0, 9 in
-# an OS1 (metadata in ouster-sdk's tests) and 0.2 in an XT32 (PandarXT32.csv of nebula).
+# The beams of one firing step share its azimuth here. In the devices they lie up to 22 degrees apart in an OS0, 9 in an
+# OS1 (metadata in ouster-sdk's tests) and 0.2 in an XT32 (PandarXT32.csv of nebula).
 SENSORS: Mapping[str, LidarSensor] = {
     each.name: each
     for each in (

@@ -307,7 +307,7 @@ def test_a_capture_is_read_with_its_metadata(tmp_path: Path) -> None:
     scans = list(source)
     assert len(scans) == 3 and source.remarks() == []
     assert np.diff([scan.stamp for scan in scans]) == pytest.approx([0.1, 0.1], abs=1e-4)
-    with pytest.raises(UavrlError, match=r"gave no scan: it holds no full turn of a OS-1-32 \(96 packets of a"):
+    with pytest.raises(UavrlError, match=r"gave no scan: it holds no full turn of an OS-1-32 \(96 packets of a"):
         list(ScanSource(tmp_path / "a.pcap", metadata=write_metadata(tmp_path, metadata_of(DUAL), "other.json")))
     with pytest.raises(UavrlError, match=r"gave no scan: it holds no full turn of a VLP16 \(96 packets of another si"):
         list(ScanSource(tmp_path / "a.pcap", "VLP16"))

@@ -111,7 +111,7 @@ class OusterAssembler:
         left_out = "; ".join(self.skipped.sentences()) or "too few packets for one turn"
         size = f"a lidar packet of {self.metadata} has {self._packets.lidar_packet_size:,} bytes"
         return (
-            f"it holds no full turn of a {self.format.name} ({left_out}); {size}: if the sensor's settings have "
+            f"it holds no full turn of an {self.format.name} ({left_out}); {size}: if the sensor's settings have "
             "changed, save its metadata again."
         )
 

@@ -179,11 +179,12 @@ class Fragments:
         if not isinstance(layer, _dpkt("ip.IP")) or layer.p != _UDP or not (layer.mf or layer.offset):
             return None
         key, start, content = (layer.src, layer.dst, layer.id), 8 * layer.offset, bytes(layer.data)
-        datagram = self._open.setdefault(key, _Datagram({}, None, 0))
-        length = datagram.length + len(content)
-        if start in datagram.parts or max(length, start + len(content)) > _LONGEST_DATAGRAM:
-            del self._open[key]  # a number that was used again, or a lie
+        datagram = self._open.get(key, _Datagram({}, None, 0))
+        if datagram.parts.get(start) == content:  # captured twice
             return None
+        if start in datagram.parts or datagram.length + len(content) > _LONGEST_DATAGRAM:
+            datagram = _Datagram({}, None, 0)  # the number was used again, or its lengths are a lie
+        length = datagram.length + len(content)
         datagram.parts[start] = content
         end = datagram.end if layer.mf else start + len(content)
         self._open[key] = _Datagram(datagram.parts, end, length)

@@ -68,4 +68,4 @@ def test_two_real_sensors_in_one_capture_are_told_apart_and_fragments_are_joined
     if not path.exists():
         pytest.skip(f"needs the recording {path}: set UAVRL_RECORDINGS=FOLDER, beside which it lies in ouster")
     datagrams = list(read_datagrams(path))
-    assert {len(packet) for _, packet, _ in datagrams} == {48, 8448}
+    assert {len(packet) for _, packet, _ in datagrams} == {48, 16640}
