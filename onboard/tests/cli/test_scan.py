@@ -95,7 +95,8 @@ def test_ctrl_c_while_listening_loses_nothing_that_came(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(count: int) -> Callable[..., Iterator[tuple[float, bytes, str]]]:
-        def read(*_: object) -> Iterator[tuple[float, bytes, str]]:
+        def read(*_: object, port: int) -> Iterator[tuple[float, bytes, str]]:
+            assert port == 2368
             yield from [(*each, "192.168.1.201:2368") for each in read_bare(RECORDED)][:count]
             raise KeyboardInterrupt
 

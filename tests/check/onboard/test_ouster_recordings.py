@@ -46,9 +46,9 @@ def test_a_capture_gives_the_points_that_the_sdk_gives(recording: tuple[Path, Pa
     theirs = []
     for stamp, packet, _ in read_datagrams(path):
         if len(packet) == form.lidar_packet_size:
-            each = core.LidarPacket(len(packet))
+            each = core.LidarPacket(form)
             each.buf[:], each.host_timestamp = np.frombuffer(packet, np.uint8), int(stamp * 1e9)
-            if batcher(each, frame):
+            if batcher.batch(each, frame):
                 lut = core.XYZLut(info, False)
                 fields = [frame.field(name) for name in ("RANGE", "RANGE2") if frame.has_field(name)]
                 theirs.append(np.concatenate([lut(field)[field > 0] for field in fields]))
