@@ -14,7 +14,7 @@ from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.libraries import needed
 
 ONBOARD = Path(__file__).parents[2] / "onboard"
-WITH = {"lz4": "mcap", "zstandard": "mcap"}  # which library brings them
+WITH = {"lz4": "mcap", "zstandard": "mcap", "ouster": "ouster-sdk"}  # which library brings them
 
 
 def calls() -> dict[tuple[str, str], str]:
@@ -35,7 +35,7 @@ def test_each_extra_installs_what_its_error_names() -> None:
     named = calls()
     assert {library for library, _ in named} == {
         *("onnxruntime", "dpkt", "velodyne-decoder", "rosbags", "mcap", "zstandard", "lz4"),
-        *("pymavlink", "cyclonedds", "plotly"),
+        *("pymavlink", "cyclonedds", "plotly", "ouster"),
     }
     assert {extra for _, extra in named} == set(extras) - {"all"}
     for (library, extra), file in named.items():

@@ -150,22 +150,29 @@ def _spread(low: float, high: float, count: int) -> tuple[float, ...]:
     return tuple(np.linspace(high, low, count).round(4).tolist())
 
 
-# The beams of one firing step share its azimuth here; in Ouster's sensors they lie up to 3 degrees apart.
+# The beams of one firing step share its azimuth here. In the devices they lie up to 22 degrees apart in an OS0, 9 in an
+# OS1 (metadata in ouster-sdk's tests) and 0.2 in an XT32 (PandarXT32.csv of nebula).
 SENSORS: Mapping[str, LidarSensor] = {
     each.name: each
     for each in (
         # Velodyne VLP-16 user manual 63-9243. The thesis's sensor is ideal; the data sheet has a minimum range of 0.9 m
-        # (recordings hold points from 0.5 m) and an accuracy of 3 cm, which perception.lidar can switch on.
+        # (recordings hold points from 0.5 m) and an accuracy of 3 cm, which perception.lidar can switch on. Beams and
+        # times are those of ROS's velodyne_pointcloud, too (VLP16_FIRING_TOFFSET, VLP16_DSR_TOFFSET).
         LidarSensor("vlp16", pattern="vlp16", max_range=100.0),
-        # Ouster OS0 data sheet, Rev 06: 90 degrees, 0.3 to 50 m, precision 1.5 to 5 cm; mode 1024 x 10.
+        # Ouster OS0 data sheet, Rev 06: 90 degrees, 0.3 to 50 m, precision 1.5 to 5 cm; mode 1024 x 10. Eight OS0
+        # in ouster-sdk's tests reach from 43.9 to 46.2 degrees up and from 45.4 to 46.3 down. The shortest range is a
+        # setting of the device: 0, 30 or 50 cm (min_range_threshold_cm).
         LidarSensor("os0_32", _spread(-45, 45, 32), 1024, max_range=50.0, blind_distance=0.3, range_noise=0.015),
         LidarSensor("os0_128", _spread(-45, 45, 128), 1024, max_range=50.0, blind_distance=0.3, range_noise=0.015),
-        # Ouster OS1 data sheet, Rev 06: 45 degrees, 0.3 to 120 m, precision 0.7 to 5 cm; mode 1024 x 10.
-        LidarSensor("os1_64", _spread(-22.5, 22.5, 64), 1024, max_range=120.0, blind_distance=0.3, range_noise=0.007),
-        # Hesai XT32 user manual: 32 channels of 1 degree, 0.18 degrees at 10 Hz, 0.05 to 120 m, precision 0.5 cm.
+        # Ouster OS1 data sheet, Rev 06: 0.3 to 120 m, precision 0.7 to 5 cm; mode 1024 x 10. Its 45 degrees are a round
+        # number: five OS1-128 in ouster-sdk's tests span 42.4 to 43.0 degrees.
+        LidarSensor("os1_64", _spread(-21.2, 21.2, 64), 1024, max_range=120.0, blind_distance=0.3, range_noise=0.007),
+        # Hesai XT32 user manual: 32 channels of 1 degree, 0.18 degrees at 10 Hz, 0.05 to 120 m, precision 0.5 cm. The
+        # calibrated device of nebula's PandarXT32.csv is within 0.08 degrees of these beams.
         LidarSensor("xt32", _spread(-16, 15, 32), 2000, max_range=120.0, blind_distance=0.05, range_noise=0.005),
         # Livox Mid-360 user manual v1.2: 360 x 59 degrees, 200,000 points/s, 40 m at 10 % reflectivity, blind up to
-        # 0.1 m, range error 2 cm. The trajectory is ours: Livox does not publish the device's.
+        # 0.1 m, range error 2 cm at 10 m and 3 cm at 0.2 m. The trajectory is ours: in the one that Livox publishes
+        # (livox_laser_simulation, scan_mode/mid360.csv) four beams turn about 180 times per second.
         LidarSensor("mid360", pattern="rosette", max_range=40.0, blind_distance=0.1, range_noise=0.02),
         # Slamtec RPLIDAR S2 data sheet: one plane, 32,000 samples/s at 10 Hz, 0.05 to 30 m, accuracy 3 cm.
         LidarSensor("rplidar", (0.0,), 3200, max_range=30.0, blind_distance=0.05, range_noise=0.03),

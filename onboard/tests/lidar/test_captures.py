@@ -93,6 +93,61 @@ def test_what_is_no_whole_packet_is_none(name: str) -> None:
     assert udp_datagram(frame, link) is None
 
 
+# ---------------------------------------------------------------------- fragments
+
+
+LARGE = bytes(range(256)) * 60
+
+
+def fragments(content: bytes = LARGE, number: int = 7, size: int = 1480) -> list[bytes]:
+    """The frames of one datagram of UDP that is larger than the network carries."""
+    whole = struct.pack(">HHHH", 7502, 7502, 8 + len(content), 0) + content
+    found = []
+    for start in range(0, len(whole), size):
+        part, more = whole[start : start + size], 0x2000 * (start + size < len(whole))
+        frame = bytearray(ethernet(ipv4(part, more | start // 8)))
+        frame[18:20] = number.to_bytes(2, "big")
+        found.append(bytes(frame))
+    return found
+
+
+def contents(folder: Path, frames: list[bytes]) -> list[bytes]:
+    path = folder / "a.pcap"
+    path.write_bytes(pcap(*((n, 0, frame) for n, frame in enumerate(frames))))
+    return [content for _, content in read_pcap(path)]
+
+
+def test_fragments_are_joined_in_any_order_and_between_others(tmp_path: Path) -> None:
+    one, two = fragments(LARGE, 7), fragments(LARGE[::-1], 8)
+    mixed = [frame for pair in zip(one, two, strict=True) for frame in pair]
+    assert contents(tmp_path, [*mixed, FRAME]) == [LARGE, LARGE[::-1], HELLO]
+    assert contents(tmp_path, one[::-1]) == [LARGE]
+    assert contents(tmp_path, [frame for frame in one for _ in range(2)]) == [LARGE], "each captured twice"
+
+
+def test_fragments_that_are_not_all_there_are_left_out(tmp_path: Path) -> None:
+    one, two = fragments(LARGE, 7), fragments(LARGE[::-1], 7)
+    assert contents(tmp_path, one[:-1] + two) == [LARGE[::-1]], "the number was used again"
+    assert contents(tmp_path, one[1:]) == []
+    assert contents(tmp_path, one[:3] + one[4:]) == []
+    overlapping = bytearray(one[1])
+    overlapping[20:22] = (0x2000 | 8).to_bytes(2, "big")
+    assert contents(tmp_path, [*one[:1], bytes(overlapping), *one[2:]]) == []
+
+
+def test_fragments_without_end_take_no_memory(tmp_path: Path) -> None:
+    """Of many datagrams, and of one whose parts overlap each other."""
+    begun = [ethernet(ipv4(bytes(60_000), 0x2000)) for _ in range(300)]
+    frames = [frame[:18] + number.to_bytes(2, "big") + frame[20:] for number, frame in enumerate(begun)]
+    frames += [ethernet(ipv4(bytes(30_000), 0x2000 | start // 8)) for start in range(0, 65_000, 80)]
+    path = tmp_path / "a.pcap"
+    path.write_bytes(pcap(*((n, 0, frame) for n, frame in enumerate(frames))))
+    tracemalloc.start()
+    assert list(read_pcap(path)) == []
+    assert tracemalloc.get_traced_memory()[1] < 10e6, "64 datagrams of 60 kB, and what is read"
+    tracemalloc.stop()
+
+
 # ---------------------------------------------------------------------- files
 
 FRAME = ethernet(ipv4())

@@ -13,6 +13,7 @@ from tests.helpers.ports import free_ports
 
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.pcap import read_datagrams, write_pcap
+from uavrl_onboard.lidar.scans import ScanAssembler
 from uavrl_onboard.lidar.senders import OneSender
 from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.lidar.udp_scans import UdpScans
@@ -103,7 +104,7 @@ def test_a_second_sender_from_the_sensor_s_address_is_left_out_and_told() -> Non
 
 def test_the_sender_is_one_of_the_sensor_s_product_and_another_follows_its_silence() -> None:
     packet = turns(2.0, 1)[0]
-    senders, foreign = OneSender(0x22), packet[:-1] + b"\x21"
+    senders, foreign = OneSender(ScanAssembler("VLP16")), packet[:-1] + b"\x21"
     assert senders.takes("a:1", foreign, 0.0) and senders.taken is None, "left to what counts other products"
     assert senders.takes("b:1", packet, 0.1) and not senders.takes("a:1", foreign, 0.2)
     assert senders.takes("a:8308", bytes(512), 0.2), "position packets come from another port"

@@ -66,8 +66,8 @@ class FlyConfig(LidarKeys):
     Args:
         policy: folder that uavrl-export wrote, with policy.onnx
         goal: [x,y,z] in m from the autopilot's origin: east, north, up; z is the middle of the goal's height
-        lidar: address that the sensor sends to, udp://:2368; ros2:///TOPIC for point clouds of a ROS 2 driver; for a
-            dry run also a recording, as uavrl-scan reads it
+        lidar: address that the sensor sends to, udp://:2368, or udp://:7502 for an Ouster; ros2:///TOPIC for point
+            clouds of a ROS 2 driver; for a dry run also a recording, as uavrl-scan reads it
         autopilot: address that PX4 or ArduPilot sends MAVLink to; ros2:///odom for a vehicle of ROS 2; null for a dry
             run, which sends nothing
         set_mode: ask the autopilot for Offboard (PX4) or GUIDED (ArduPilot); false: the pilot chooses the mode
@@ -141,7 +141,7 @@ ABOUT = About(
         "policy=FOLDER model=VLP16 goal=[20,5,2.5] set_mode=true",
         "policy=FOLDER model=VLP16 goal=[20,0,2.5] autopilot=null",
     ],
-    "policy goal lidar model vehicle autopilot set_mode arm standing radius hold seconds log json",
+    "policy goal lidar model metadata vehicle autopilot set_mode arm standing radius hold seconds log json",
 )
 
 
@@ -242,7 +242,8 @@ def make_vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
 def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: ExitStack) -> Iterator[FlightCycle]:
     """The flight's cycles, from a sensor or a recording."""
     if not settings.is_live:
-        source = ScanSource(settings.lidar, settings.model, topic=settings.topic, product=settings.product)
+        keys = {key: getattr(settings, key) for key in ("topic", "product", "metadata")}
+        source = ScanSource(settings.lidar, settings.model, **keys)
         opened.callback(_tell_skipped, source)
         return _with_health(rehearse(flight, source, link), FlightHealth(lambda: "", 1.0 / flight.period))
     feed = opened.enter_context(closing(open_feed(settings, link)))
@@ -266,7 +267,7 @@ def open_feed(settings: FlyConfig, link: VehicleLink) -> UdpScans | Ros2Scans:
     """Return the scans of the sensor."""
     if settings.lidar.startswith(ROS2):
         return ros2_feed(settings.lidar, link)
-    return UdpScans(settings.lidar, settings.model, settings.product)
+    return UdpScans(settings.lidar, settings.model, settings.product, settings.metadata)
 
 
 def _reports(settings: FlyConfig, policy: Policy, link: VehicleLink, opened: ExitStack) -> Callable[[FlightCycle], Any]:

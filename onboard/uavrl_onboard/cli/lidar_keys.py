@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from uavrl_onboard.ranges import Text
+from uavrl_onboard.ranges import Folder, Text
 from uavrl_onboard.sentences import require
 
 
@@ -15,8 +15,9 @@ class LidarKeys:
     """The sensor, and the box around the vehicle whose points are left out.
 
     Args:
-        model: sensor that sends the packets: VLP16, PuckHiRes, HDL32E, VLP32A, VLP32B or VLP32C; a PointCloud2 needs
-            none
+        model: Velodyne that sends the packets: VLP16, PuckHiRes, HDL32E, VLP32A, VLP32B or VLP32C; a PointCloud2
+            needs none
+        metadata: file with the metadata of the Ouster that sends the packets, instead of model
         topic: topic of a ROS recording that has several topics with scans
         product: product byte of the packets, if the sensor carries another than its model's, e.g. 33
         vehicle: box around the vehicle whose points are left out, in m from the sensor: least corner, greatest corner,
@@ -24,6 +25,7 @@ class LidarKeys:
     """
 
     model: Text | None = None
+    metadata: Folder | None = None
     topic: Text | None = None
     product: Annotated[int, Field(ge=0, le=255)] | None = None
     vehicle: tuple[float, ...] | None = None

@@ -64,8 +64,13 @@ class ScanConfig(LidarKeys):
 ABOUT = About(
     "uavrl-scan",
     "shows what a LiDAR sees, and what a policy would see of it.",
-    ["source=udp://:2368 model=VLP16", "source=FILE model=VLP16 json=FILE", "source=ROSBAG topic=/points"],
-    "source model topic seconds vehicle reduction statistic radius output json",
+    [
+        "source=udp://:2368 model=VLP16",
+        "source=FILE model=VLP16 json=FILE",
+        "source=udp://:7502 metadata=FILE",
+        "source=ROSBAG topic=/points",
+    ],
+    "source model metadata topic seconds vehicle reduction statistic radius output json",
 )
 
 
@@ -73,7 +78,12 @@ ABOUT = About(
 def main(settings: ScanConfig) -> None:
     """Reads a source to its end, or listens for some seconds; prints the numbers, writes page and JSON."""
     source = ScanSource(
-        str(settings.source), settings.model, topic=settings.topic, product=settings.product, seconds=settings.seconds
+        str(settings.source),
+        settings.model,
+        topic=settings.topic,
+        product=settings.product,
+        seconds=settings.seconds,
+        metadata=settings.metadata,
     )
     paths = {key: Path(getattr(settings, key)) for key in ("output", "json") if getattr(settings, key) is not None}
     for key, path in paths.items():

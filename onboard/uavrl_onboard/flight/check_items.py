@@ -19,7 +19,7 @@ from uavrl_onboard.flight.limits import distance_outside, outside_fence
 from uavrl_onboard.flight.safety import Reason
 from uavrl_onboard.geometry import hull_distances, is_inside, is_return
 from uavrl_onboard.lidar.coverage import JUDGED, WATCHED
-from uavrl_onboard.lidar.scans import Skipped
+from uavrl_onboard.lidar.scans import BESIDE_SCANS, Skipped
 from uavrl_onboard.lidar.summary import ScanSummary
 from uavrl_onboard.lidar.vlp16 import NUM_RAYS
 from uavrl_onboard.pluralize import pluralize
@@ -92,18 +92,13 @@ def check_packets(evidence: Evidence) -> Item | None:
     skipped, remarks = evidence.setup.feed.skipped, [*evidence.setup.feed.remarks(), *shared]
     if not evidence.scans:
         return None
-    rays = sum(cycle.scan.rays for cycle in evidence.scans if cycle.scan is not None)
-    counts = {name: count for name, count in asdict(skipped).items() if count and name != "position"}
-    few = all(name in ("lost", "late") and count <= LOST_PACKETS * _packets(rays) for name, count in counts.items())
+    packets = sum(cycle.scan.packets for cycle in evidence.scans if cycle.scan is not None)
+    counts = {name: count for name, count in asdict(skipped).items() if count and name not in BESIDE_SCANS}
+    few = all(name in ("lost", "late") and count <= LOST_PACKETS * packets for name, count in counts.items())
     if remarks or not few:
         return Item("packets", WARN, " ".join([*remarks, *_left_out(skipped)]))
     lost = "nothing was left out" if not counts else "; ".join(skipped.sentences())
     return Item("packets", PASS, f"All scans come from one sender: {lost}.")
-
-
-def _packets(rays: int) -> float:
-    """How many packets hold so many rays."""
-    return 76 * rays / NUM_RAYS
 
 
 def _left_out(skipped: Skipped) -> list[str]:

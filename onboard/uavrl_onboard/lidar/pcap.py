@@ -23,6 +23,9 @@ _ORDERS = {b"\x1a\x2b\x3c\x4d": ">", b"\x4d\x3c\x2b\x1a": "<"}  # of a section o
 _INTERFACE, _PACKET = 1, 6  # kinds of its blocks
 _RESOLUTION, _OFFSET = 9, 14  # options of an interface about its time stamps
 _IP_LINKS = (12, 101, 228, 229)  # whose frames begin with IP
+_UDP = 17  # protocol of IP
+_LONGEST_DATAGRAM = 2**16  # bytes
+_MOST_OPEN = 64  # datagrams of which some fragments have come
 _LINKS = {0: "loopback.Loopback", 1: "ethernet.Ethernet", 108: "loopback.Loopback", 113: "sll.SLL", 276: "sll2.SLL2"}
 
 
@@ -38,8 +41,8 @@ def read_datagrams(path: Path) -> Iterator[tuple[float, bytes, str]]:
 
     Captures are pcap or pcapng; packets come one at a time.
 
-    Everything but whole UDP packets is left out. A capture that ends in the middle of a packet, or is damaged there,
-    ends before it. A sender is ``ADDRESS:PORT``.
+    Everything but whole UDP packets is left out; those that were sent in fragments of IPv4 are joined. A capture that
+    ends in the middle of a packet, or is damaged there, ends before it. A sender is ``ADDRESS:PORT``.
 
     Raises:
         UavrlError: for a file that is no capture, and if `dpkt` is not installed.
@@ -51,13 +54,14 @@ def read_datagrams(path: Path) -> Iterator[tuple[float, bytes, str]]:
             raise UavrlError(f"{path} is no capture of network traffic: give a pcap or pcapng file.")
         file.seek(0)
         read = _pcapng_frames if magic == PCAPNG else _pcap_frames
-        frames = read(RecordFile(file, MOST_BYTES + _PACKET_HEADER))
+        frames, fragments = read(RecordFile(file, MOST_BYTES + _PACKET_HEADER)), Fragments()
         while True:
             try:
                 stamp, link, frame = next(frames)
             except (StopIteration, *damage):
                 return
-            datagram = udp_datagram(frame, link)
+            layer = _network_layer(frame, link)
+            datagram = _whole_datagram(layer) or fragments.join(layer)
             if datagram is not None:
                 yield stamp, *datagram
 
@@ -124,19 +128,74 @@ def udp_datagram(frame: bytes, link: int) -> tuple[bytes, str] | None:
         link: the type of the link, by https://www.tcpdump.org/linktypes.html: Ethernet with or without VLAN, raw IP,
             Linux cooked (1 and 2) and loopback are known.
     """
+    return _whole_datagram(_network_layer(frame, link))
+
+
+def _network_layer(frame: bytes, link: int) -> Any:
+    """Return the packet of IP in a captured frame; None where there is none."""
     if link in _IP_LINKS:
         layer = _parsed("ip6.IP6" if frame[:1] >= b"\x60" else "ip.IP", frame)
     else:
         layer = _parsed(_LINKS[link], frame) if link in _LINKS else None
     while layer is not None and not isinstance(layer, _dpkt("ip.IP") | _dpkt("ip6.IP6")):
         layer = getattr(layer, "data", None)  # of bytes: None
+    return layer
+
+
+def _whole_datagram(layer: Any) -> tuple[bytes, str] | None:
+    """Return what a packet of IP carries as UDP, and its sender; None unless it is whole."""
     udp = getattr(layer, "data", None)
     if not isinstance(udp, _dpkt("udp.UDP")) or getattr(layer, "mf", False):  # more fragments follow
         return None
     content = bytes(udp.data[: max(udp.ulen - 8, 0)])
-    if layer is None or len(content) != udp.ulen - 8:
+    if len(content) != udp.ulen - 8:
         return None
     return content, f"{ip_address(bytes(layer.src))}:{udp.sport}"
+
+
+class Fragments:
+    """Joins the fragments of IPv4 in which large UDP packets travel, as those of an Ouster do.
+
+    Few datagrams are open at a time, and none takes more than one may have: a capture can be anyone's.
+    """
+
+    def __init__(self) -> None:
+        self._open: dict[tuple[bytes, bytes, int], _Datagram] = {}  # in the order in which they began
+
+    def join(self, layer: Any) -> tuple[bytes, str] | None:
+        """Return the datagram that a fragment completes, and its sender; None for what is no fragment of UDP."""
+        if not isinstance(layer, _dpkt("ip.IP")) or layer.p != _UDP or not (layer.mf or layer.offset):
+            return None
+        key, start, content = (layer.src, layer.dst, layer.id), 8 * layer.offset, bytes(layer.data)
+        datagram = self._open.get(key, _Datagram({}, None, 0))
+        if datagram.parts.get(start) == content:  # captured twice
+            return None
+        if start in datagram.parts or datagram.length + len(content) > _LONGEST_DATAGRAM:
+            datagram = _Datagram({}, None, 0)  # the number was used again, or its lengths are a lie
+        length = datagram.length + len(content)
+        datagram.parts[start] = content
+        end = datagram.end if layer.mf else start + len(content)
+        self._open[key] = _Datagram(datagram.parts, end, length)
+        if end is None or length < end:
+            if len(self._open) > _MOST_OPEN:
+                del self._open[next(iter(self._open))]
+            return None
+        del self._open[key]
+        whole = b"".join(part for _, part in sorted(datagram.parts.items()))
+        udp = _parsed("udp.UDP", whole)
+        if udp is None or len(whole) != end or udp.ulen != end or not _are_contiguous(datagram.parts):
+            return None
+        return bytes(udp.data), f"{ip_address(bytes(layer.src))}:{udp.sport}"
+
+
+class _Datagram(NamedTuple):
+    parts: dict[int, bytes]  # by their beginning
+    end: int | None  # bytes of all, once the last part has come
+    length: int  # bytes so far
+
+
+def _are_contiguous(parts: dict[int, bytes]) -> bool:
+    return all(start + len(part) in parts for start, part in sorted(parts.items())[:-1])
 
 
 def _parsed(name: str, data: bytes) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from uavrl_onboard.lidar.packets import (
     PACKET,
     PACKET_SIZE,
     PACKET_TIMES,
+    PORT,
     POSITION_SIZE,
     PRODUCTS,
     STRONGEST,
@@ -42,6 +43,7 @@ class Scan:
     points: np.ndarray  #: ``float32 [P, 3]`` in m in the sensor frame: x forward, y left, z up
     rays: int  #: How many rays it is made of
     misses: int  #: How many of them hit nothing
+    packets: int = 0  #: How many packets it is made of; 0 for a message
 
     def __iter__(self) -> Iterator[Any]:
         """Gives the stamp and the points."""
@@ -53,9 +55,10 @@ class Scan:
 class Skipped:
     """How much of a source was left out, by reason."""
 
-    other_size: int = field(default=0, metadata={"of": "packet", "says": "of another size than 1,206 bytes"})
+    other_size: int = field(default=0, metadata={"of": "packet", "says": "of another size than a data packet's"})
     other_product: int = field(default=0, metadata={"of": "packet", "says": "of another model"})
-    damaged: int = field(default=0, metadata={"of": "packet", "says": "of 1,206 bytes without a packet's data"})
+    other_serial: int = field(default=0, metadata={"of": "packet", "says": "of a sensor with another serial number"})
+    damaged: int = field(default=0, metadata={"of": "packet", "says": "of a data packet's size without its data"})
     dual: int = field(default=0, metadata={"of": "packet", "says": "with two returns per ray"})
     lost: int = field(default=0, metadata={"of": "packet", "says": "that never arrived"})
     late: int = field(default=0, metadata={"of": "packet", "says": "out of order"})
@@ -65,6 +68,7 @@ class Skipped:
     malformed: int = field(default=0, metadata={"of": "message", "says": "that could not be read"})
     other_sender: int = field(default=0, metadata={"of": "packet", "says": "of a second sender"})
     position: int = field(default=0, metadata={"of": "position packet", "says": "without points"})
+    imu: int = field(default=0, metadata={"of": "IMU packet", "says": "without points"})
 
     def sentences(self) -> list[str]:
         """One line for each reason that occurred."""
@@ -73,12 +77,39 @@ class Skipped:
         return [f"{pluralize(count, of['of'])} {of['says']}" for count, of in counts]
 
 
+BESIDE_SCANS = ("position", "imu")
+"""What `Skipped` counts though nothing is missing: sensors send it beside their scans."""
+
+
+class Assembler(Protocol):
+    """Makes scans of the packets of one sensor."""
+
+    skipped: Skipped  #: what was left out so far
+    heard: bool  #: whether there was any packet
+    port: int  #: of UDP to which the sensor sends
+
+    def is_data(self, packet: bytes) -> bool:
+        """Whether a packet carries returns, of this sensor or of one like it."""
+
+    def is_ours(self, packet: bytes) -> bool:
+        """Whether a packet with returns is of this sensor, as far as it says."""
+
+    def push(self, stamp: float, packet: bytes) -> Scan | None:
+        """Take a packet that arrived at ``stamp`` seconds; return the scan that it closes, if it closes one."""
+
+    def finish(self, stamp: float) -> Scan | None:
+        """Return the open turn, when no packet comes any more, if it is nearly whole."""
+
+    def trouble(self) -> str:
+        """Why no scan came out, as a sentence's second half."""
+
+
 def check_model(model: str | None) -> str:
     """Returns the model, or says which there are: it is never guessed from the data."""
     if model not in PRODUCTS:
         raise UavrlError(
             f"model must be one of {', '.join(PRODUCTS)}, got {model!r}: name the sensor that sent the packets, which "
-            "is not guessed."
+            "is not guessed, or give metadata=FILE for an Ouster."
         )
     return model
 
@@ -120,6 +151,7 @@ class ScanAssembler:
         skipped: what was left out so far.
         products: the product bytes that were refused.
         heard: whether there was any packet.
+        port: UDP port to which the sensor sends unless it is told another.
 
     Examples:
         >>> from uavrl_onboard.lidar.packets import encode_scan
@@ -133,7 +165,7 @@ class ScanAssembler:
     def __init__(self, model: str | None, product: int | None = None) -> None:
         self.model = check_model(model)
         self.product = PRODUCTS[self.model] if product is None else product
-        self.skipped = Skipped()
+        self.skipped, self.port = Skipped(), PORT
         self.products = set[int]()
         self.heard = False
         self._decode = make_decoder(self.model)
@@ -142,6 +174,14 @@ class ScanAssembler:
         self._azimuth = 0  # of its last block
         self._packets: list[tuple[int, bytes]] = []  # of the open turn, each with its age since the turn's first one
         self._covered, self._advance, self._begun = 0, 0, 0  # angles of the open turn and of its last packet, a time
+
+    def is_data(self, packet: bytes) -> bool:
+        """Whether a packet is a data packet of any model."""
+        return len(packet) == PACKET_SIZE and packet[:2] == FLAG.to_bytes(2, "little")
+
+    def is_ours(self, packet: bytes) -> bool:
+        """Whether a data packet carries the product byte that is expected."""
+        return packet[-1] == self.product
 
     def push(self, stamp: float, packet: bytes) -> Scan | None:
         """Takes a packet that arrived at ``stamp`` seconds; returns the scan that it closes, if it closes one."""
@@ -228,7 +268,7 @@ class ScanAssembler:
         hit = blocks["returns"]["distance"] > 0
         if packets[0][-2] == DUAL:  # two blocks tell of the same rays
             hit = hit[:, ::2] | hit[:, 1::2]
-        return Scan(stamp, self._decode(packets), hit.size, hit.size - int(hit.sum()))
+        return Scan(stamp, self._decode(packets), hit.size, hit.size - int(hit.sum()), len(packets))
 
     def trouble(self) -> str:
         """Why no scan came out, as a sentence's second half."""

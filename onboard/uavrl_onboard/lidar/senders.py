@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uavrl_onboard.lidar.packets import FLAG, PACKET_SIZE
+from uavrl_onboard.lidar.scans import Assembler
 
 SILENCE = 1.0  # s without a packet of the sensor after which another one may take its place
 _NAMED = 3  # senders in a sentence
@@ -11,11 +11,11 @@ _NAMED = 3  # senders in a sentence
 class OneSender:
     """Takes the packets of one sender and leaves out the others'.
 
-    The sender is whoever sends the first data packet of the sensor's product. Once it falls silent, another one may
-    take its place.
+    The sender is whoever sends the first data packet of the sensor. Once it falls silent, another one may take its
+    place.
 
     Args:
-        product: the product byte of the sensor.
+        sensor: what knows the sensor's packets.
 
     Attributes:
         taken: address and port of the sender, None before its first data packet.
@@ -24,16 +24,17 @@ class OneSender:
 
     Examples:
         >>> from uavrl_onboard.lidar.packets import encode_scan
+        >>> from uavrl_onboard.lidar.scans import ScanAssembler
         >>> from uavrl_onboard.lidar.vlp16 import firing_directions
-        >>> senders, packet = OneSender(0x22), encode_scan(3.0 * firing_directions())[0]
+        >>> senders, packet = OneSender(ScanAssembler("VLP16")), encode_scan(3.0 * firing_directions())[0]
         >>> senders.takes("192.168.1.201:2368", packet, 0.0), senders.takes("192.168.1.202:2368", packet, 0.001)
         (True, False)
         >>> senders.sentence()
         'Two senders: only 192.168.1.201:2368 is read, and the packets of 192.168.1.202:2368 are left out.'
     """
 
-    def __init__(self, product: int) -> None:
-        self._product = product
+    def __init__(self, sensor: Assembler) -> None:
+        self._sensor = sensor
         self.taken: str | None = None
         self.heard = 0.0
         self.others: dict[str, None] = {}  # in their order
@@ -46,9 +47,9 @@ class OneSender:
             packet: what it sent.
             stamp: when it came, s.
         """
-        is_data = len(packet) == PACKET_SIZE and packet[:2] == FLAG.to_bytes(2, "little")
+        is_data = self._sensor.is_data(packet)
         is_free = self.taken is None or sender == self.taken or stamp - self.heard > SILENCE
-        if is_data and packet[-1] == self._product and is_free:
+        if is_data and is_free and self._sensor.is_ours(packet):
             self.taken, self.heard = sender, stamp
         if not is_data or self.taken is None or sender == self.taken:
             return True

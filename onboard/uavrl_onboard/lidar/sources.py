@@ -9,13 +9,15 @@ import numpy as np
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar import bags
+from uavrl_onboard.lidar.assemblers import make_assembler
 from uavrl_onboard.lidar.packets import FLAG, PACKET_SIZE
 from uavrl_onboard.lidar.pcap import PCAP, PCAPNG, read_datagrams
-from uavrl_onboard.lidar.scans import Scan, ScanAssembler, Skipped, check_model
+from uavrl_onboard.lidar.scans import Assembler, Scan, Skipped
 from uavrl_onboard.lidar.senders import OneSender
 from uavrl_onboard.lidar.udp import NOTHING_CAME, address, read_udp
 
 _RECORDINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", bags.ROSBAG1)
+_OSF = b"OSF$"  # from the ninth byte on, of a recording by ouster-sdk
 _BATCH = 1000  # packets that are read from a file at once
 KINDS = (
     "udp://:PORT, a capture (.pcap), packets alone (.bin, 1,206 bytes each), a rosbag of ROS 1 (.bag), a rosbag of "
@@ -31,10 +33,11 @@ class ScanSource:
 
     Args:
         source: ``udp://:2368``, or a file or folder.
-        model: of the sensor that sent the packets, such as ``"VLP16"``; a PointCloud2 needs none.
+        model: of the Velodyne that sent the packets, such as ``"VLP16"``; a PointCloud2 needs none.
         topic: of a recording of ROS that has several with scans.
         product: the product byte of a sensor whose packets carry another than its model's.
         seconds: how long to listen to UDP; None for as long as packets come.
+        metadata: file with the metadata of the Ouster that sent the packets, instead of a model.
 
     Attributes:
         skipped: how much was left out so far, by reason.
@@ -61,8 +64,10 @@ class ScanSource:
         topic: str | None = None,
         product: int | None = None,
         seconds: float | None = None,
+        metadata: str | Path | None = None,
     ) -> None:
-        self.source, self.model, self.product, self.seconds = str(source), model, product, seconds
+        self.source, self.seconds = str(source), seconds
+        self._sensor = model, product, metadata
         self.skipped, self.clock = Skipped(), bags.RecordedClock()
         self._senders: OneSender | None = None
         self.topic: bags.Topic | None = None
@@ -74,7 +79,7 @@ class ScanSource:
         if self.kind == "ros":
             self.topic = bags.scan_topic(Path(source), topic)
         if self.topic is None or self.topic.kind == bags.SCAN:
-            check_model(model)
+            make_assembler(*self._sensor)  # which refuses a sensor that it does not know
 
     def __iter__(self) -> Iterator[Scan]:
         """Reads the source from its beginning."""
@@ -83,9 +88,9 @@ class ScanSource:
             scans = bags.read_clouds(Path(self.source), self.topic.name, self.skipped, self.clock)
             yield from self._some(scans, "it holds no cloud that can be read.")
             return
-        assembler = ScanAssembler(check_model(self.model), self.product)
+        assembler = make_assembler(*self._sensor)
         assembler.skipped = self.skipped
-        self._senders = OneSender(assembler.product)
+        self._senders = OneSender(assembler)
         yield from self._some(self._assembled(assembler, self._senders), "", assembler)
 
     def remarks(self) -> list[str]:
@@ -94,9 +99,9 @@ class ScanSource:
         odd = (self.clock.sentence(), None if self._senders is None else self._senders.sentence())
         return told + [sentence for sentence in odd if sentence is not None]
 
-    def _assembled(self, assembler: ScanAssembler, senders: OneSender) -> Iterator[Scan]:
+    def _assembled(self, assembler: Assembler, senders: OneSender) -> Iterator[Scan]:
         stamp = 0.0
-        for stamp, packet, sender in self._packets():
+        for stamp, packet, sender in self._packets(assembler.port):
             if not senders.takes(sender, packet, stamp):
                 self.skipped.other_sender += 1
                 continue
@@ -107,7 +112,7 @@ class ScanSource:
         if scan is not None:
             yield scan
 
-    def _some(self, scans: Iterator[Scan], why: str, assembler: ScanAssembler | None = None) -> Iterator[Scan]:
+    def _some(self, scans: Iterator[Scan], why: str, assembler: Assembler | None = None) -> Iterator[Scan]:
         """The scans, or why there is none."""
         empty = True
         for scan in scans:
@@ -116,16 +121,16 @@ class ScanSource:
         if empty:
             raise UavrlError(f"{self.source} gave no scan: {why if assembler is None else self._trouble(assembler)}")
 
-    def _trouble(self, assembler: ScanAssembler) -> str:
+    def _trouble(self, assembler: Assembler) -> str:
         if self.kind == "udp" and not assembler.heard:
             return NOTHING_CAME
         return assembler.trouble()
 
-    def _packets(self) -> Iterator[tuple[float, bytes, str]]:
+    def _packets(self, port: int) -> Iterator[tuple[float, bytes, str]]:
         """The packets, each with its time and its sender, of which a file may know nothing."""
         path = Path(self.source)
         if self.kind == "udp":
-            yield from read_udp(self.source, self.seconds)
+            yield from read_udp(self.source, self.seconds, port=port)
         elif self.kind == "pcap":
             yield from read_datagrams(path)
         elif self.topic is None:
@@ -160,6 +165,11 @@ def _kind(path: Path) -> str:
         return "ros"
     if begins[:2] == FLAG.to_bytes(2, "little"):
         return "bare"
+    if begins[8:12] == _OSF:
+        raise UavrlError(
+            f"{path} is a recording of Ouster's own kind (OSF): make a capture and its metadata of it with ouster-cli "
+            f"source {path} save {path.with_suffix('.pcap').name}."
+        )
     raise UavrlError(f"{path} {'is empty' if not begins else 'is of no known kind'}: give {KINDS}.")
 
 

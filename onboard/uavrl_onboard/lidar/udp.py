@@ -16,8 +16,8 @@ from uavrl_onboard.lidar.packets import PORT
 
 NOTHING_CAME = "no packet arrived; the sensor sends to the address and the port that its own page has as host."
 _ADDRESS = re.compile(r"udp://(?P<host>[^:/]*)(?::(?P<port>\d{1,5}))?/?")
-_BUFFER = 2**21  # bytes that the system keeps for us: some turns, in case we are late
-_LONGEST = 2048  # bytes of a packet that are read; no sensor sends as many
+_BUFFER = 2**23  # bytes that the system keeps for us, if it may: some turns of any sensor, in case we are late
+_LONGEST = 2**16  # bytes of a packet that are read, which is any
 _AT_ONCE = 1000  # packets that are read at once
 _TICK = 0.05  # s between two looks at the clock while nothing arrives
 _ARRIVAL = 35 if sys.platform == "linux" else None  # SO_TIMESTAMPNS: the system says when a packet arrived
@@ -66,13 +66,14 @@ class UdpPackets:
 
     Args:
         source: ``udp://:2368`` listens on all of this machine's addresses; ``udp://HOST:2368`` on one of them.
+        port: where the source names none.
 
     Raises:
         UavrlError: where the port cannot be opened.
     """
 
-    def __init__(self, source: str) -> None:
-        self._socket = listen(source)
+    def __init__(self, source: str, port: int = PORT) -> None:
+        self._socket = listen(source, port)
         self._socket.setblocking(False)
         if _ARRIVAL is not None:
             self._socket.setsockopt(socket.SOL_SOCKET, _ARRIVAL, 1)
@@ -95,23 +96,26 @@ class UdpPackets:
             yield time.monotonic() - _waited(said), packet, f"{sender[0]}:{sender[1]}"
 
 
-def read_udp(source: str, seconds: float | None = None, silence: float = 5.0) -> Iterator[tuple[float, bytes, str]]:
+def read_udp(
+    source: str, seconds: float | None = None, silence: float = 5.0, port: int = PORT
+) -> Iterator[tuple[float, bytes, str]]:
     """The time of arrival, the content and the sender of each packet of ``UdpPackets``.
 
     Args:
         source: where to listen.
         seconds: how long to listen in all; None for as long as packets come.
         silence: after how many seconds without a packet it ends.
+        port: where the source names none.
 
     Raises:
         UavrlError: where the port cannot be opened.
     """
-    with closing(UdpPackets(source)) as port:
+    with closing(UdpPackets(source, port)) as packets:
         begun = heard = time.monotonic()
         while time.monotonic() - heard < silence and (seconds is None or time.monotonic() - begun < seconds):
-            if select.select([port], [], [], _TICK)[0]:
+            if select.select([packets], [], [], _TICK)[0]:
                 heard = time.monotonic()
-                yield from port.waiting()
+                yield from packets.waiting()
 
 
 def _waited(said: list[tuple[int, int, bytes]]) -> float:

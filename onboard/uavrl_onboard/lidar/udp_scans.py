@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 
-from uavrl_onboard.lidar.scans import Scan, ScanAssembler
+from uavrl_onboard.lidar.assemblers import make_assembler
+from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.senders import SILENCE, OneSender
 from uavrl_onboard.lidar.udp import NOTHING_CAME, UdpPackets
 
@@ -17,20 +18,21 @@ class UdpScans:
 
     Args:
         source: ``udp://:2368``.
-        model: of the sensor, such as ``"VLP16"``.
+        model: of a Velodyne, such as ``"VLP16"``.
         product: the product byte of a sensor whose packets carry another than its model's.
+        metadata: file with the metadata of an Ouster, instead of a model.
 
     Attributes:
         skipped: what was left out so far, by reason.
 
     Raises:
-        UavrlError: for an unknown model, and where the port cannot be opened.
+        UavrlError: for an unknown model, metadata that cannot be read, and where the port cannot be opened.
     """
 
-    def __init__(self, source: str, model: str | None, product: int | None = None) -> None:
-        self._assembler = ScanAssembler(model, product)
-        self._packets = UdpPackets(source)
-        self._senders = OneSender(self._assembler.product)
+    def __init__(self, source: str, model: str | None, product: int | None = None, metadata: str | None = None) -> None:
+        self._assembler = make_assembler(model, product, metadata)
+        self._packets = UdpPackets(source, self._assembler.port)
+        self._senders = OneSender(self._assembler)
         self.skipped = self._assembler.skipped
 
     def poll(self, now: float) -> Scan | None:

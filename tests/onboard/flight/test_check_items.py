@@ -107,9 +107,8 @@ def evidence(policy: Policy, come: Come, feed: Feed, link: Any = None, guards: A
     for number in range(come.cycles):
         now = START + number * come.period
         played.at, played.who, points = come.pose(number, now), come.who, come.scan(number)
-        scan = (
-            None if points is None else Scan(now - come.scan_age, points, len(RAYS), int(np.isnan(points[:, 0]).sum()))
-        )
+        misses = 0 if points is None else int(np.isnan(points[:, 0]).sum())
+        scan = None if points is None else Scan(now - come.scan_age, points, len(RAYS), misses, packets=8)
         cycle = replace(flight.step(now, scan), latency=None if scan is None else come.scan_age + come.took)
         found.add(cycle, listener.heard, come.clock(number))
     assert set(played.sent) == {None}, "nothing that could move a vehicle is sent"
