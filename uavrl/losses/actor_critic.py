@@ -40,6 +40,9 @@ class ActorCriticLoss(_LossModule):
     critics_may_differ: ClassVar[bool] = False
     """Whether critics may read what the actor does not, such as a memory of their own."""
 
+    has_targets: ClassVar[bool] = True
+    """Whether target networks follow the others."""
+
     learns_from_sequences: ClassVar[bool] = False
     """Whether batches hold windows of episodes, see :class:`~uavrl.losses.SequenceLoss`; else, transitions."""
 
