@@ -54,6 +54,35 @@ class _Contract(ActorCriticLossContract):
         with pytest.raises((ValueError, RuntimeError, KeyError, AttributeError)):
             SoftUpdate(loss, tau=0.25).step()
 
+    def test_forward_gives_each_loss(self) -> None:
+        """From a tensordict and from keyword arguments, by two copies: a call moves the statistics."""
+        loss, data = self.make_loss(), self.make_data()
+        other = copy.deepcopy(loss)
+        torch.manual_seed(1)
+        values = loss(**self.arguments(data))
+        torch.manual_seed(1)
+        losses = other(data)
+        for key, value in zip(loss.out_keys, values, strict=True):
+            torch.testing.assert_close(value, losses[key])
+        assert {"loss_actor", "loss_qvalue"} <= set(losses.keys())
+
+    def test_parameters_are_drawn_anew_by_each_network(self) -> None:
+        """Those of linear layers; normalisations begin again."""
+        loss = self.seeded_loss()
+        loss.value_loss(self.make_data())
+        before = {key: value.clone() for key, value in loss.state_dict().items() if "net." in key}
+        loss.reset_parameters_recursive()
+        after = loss.state_dict()
+        linear = [
+            key
+            for key in before
+            if key.endswith("net.1.weight") or key.endswith("actor_network_params.module.net.0.weight")
+        ]
+        assert linear and [key for key in linear if torch.equal(before[key], after[key])] == []
+        for key in before:
+            if key.endswith(("running_mean", "batches")):
+                assert (before[key] != 0).any() and (after[key] == 0).all()
+
 
 class TestCrossQ(_Contract):
     def make_loss(self, **options: object) -> CrossQLoss:
@@ -281,6 +310,14 @@ def test_a_run_with_all_the_rest(algo: str, tmp_path: Path) -> None:
     config = small_config(tmp_path / "run", f"algo={algo}", *seen, *more)
     summary = train(config, create_run(config))
     assert summary["updates"] > 20
+
+
+def test_a_layer_norm_that_the_critics_do_not_have_is_refused(tmp_path: Path) -> None:
+    config = small_config(tmp_path / "run", "algo=crossq_td3", "+algo.layer_norm=true")
+    with pytest.raises(
+        UavrlError, match=r"algo\.layer_norm must be false with uavrl\.models\.batch_renorm\.BatchRenormC"
+    ):
+        build_trainer(validate(config), config, create_run(config))
 
 
 def test_memories_and_inputs_of_the_critics_alone_are_refused(tmp_path: Path) -> None:
