@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import astuple, dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.util import Finalize
@@ -228,17 +229,17 @@ def _serve(new_flight: Callable[[], Flight], threads: int, connection: Connectio
     torch.set_num_threads(threads)
     torch.set_flush_denormal(True)
     flight: Flight | None = None
-    while True:
-        try:
+    with suppress(EOFError, OSError):  # that end is closed, or its process has died
+        while True:
             arrays, tasks, seed = connection.recv()
-            flight = flight or new_flight()
-            weights, successes = {name: torch.from_numpy(value) for name, value in arrays.items()}, 0
-            for success in flight.outcomes(weights, tasks, seed):
-                successes += success
-                if connection.poll():  # nothing is sent meanwhile: the other process has ended
-                    return
-            connection.send(successes)
-        except (EOFError, OSError):
-            return
-        except Exception as error:
-            connection.send(" ".join(f"{type(error).__name__}: {error}".split()))
+            answer: int | str = 0
+            try:
+                flight = flight or new_flight()
+                weights = {name: torch.from_numpy(value) for name, value in arrays.items()}
+                for success in flight.outcomes(weights, tasks, seed):
+                    answer += success
+                    if connection.poll():  # nothing is sent meanwhile
+                        return
+            except Exception as error:
+                answer = " ".join(f"{type(error).__name__}: {error}".split())
+            connection.send(answer)
