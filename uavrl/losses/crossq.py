@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
 from torchrl.modules.distributions.utils import sample_and_log_prob
@@ -27,6 +27,13 @@ class _WithoutTargets(_Base):
 
     critics_may_differ: ClassVar[bool] = False
     has_targets: ClassVar[bool] = False
+    if TYPE_CHECKING:
+        qvalue_network: TensorDictModule
+        qvalue_network_params: TensorDictParams
+
+        def _values(self, tensordict: TensorDictBase, params: TensorDictBase) -> Tensor:
+            """Values ``[K, *B]`` of K critics."""
+            raise NotImplementedError
 
     def _both_values(self, tensordict: TensorDictBase, following: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Values ``[K, *B]`` at states and at next states, the latter constant; running statistics move."""

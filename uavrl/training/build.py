@@ -204,7 +204,7 @@ def make_validation(
             return ProcessFlier(with_matmul_backend(new_flight), settings.trainer.threads)
         return HereFlier(new_flight)
 
-    handed = {"new_flier": new_flier, "policy": actor, "seed": settings.seed}
+    handed: dict[str, Any] = {"new_flier": new_flier, "policy": actor, "seed": settings.seed}
     return build(part, Validation, packages=settings.packages, key="validation", **handed)
 
 

@@ -227,7 +227,9 @@ class EpisodeTrainer:
     @property
     def reached(self) -> bool:
         """Whether the policy exceeds the success rate that ends the training."""
-        return None not in (self.validation, self.until_success) and self.validation.reached(self.until_success)
+        if self.validation is None or self.until_success is None:
+            return False
+        return self.validation.reached(self.until_success)
 
     @property
     def finished(self) -> bool:

@@ -71,7 +71,9 @@ class ActorCriticStepper(OptimizationStepper):
         in_keys = [*loss.in_keys, *keys]
         self.critic = GradientStep(self._value_loss, loss.critic_parameters, critic_lr, execution, in_keys)
         self.actor = GradientStep(loss.actor_loss, loss.actor_parameters, actor_lr, execution, in_keys, self._active)
-        self.targets = FusedSoftUpdate(loss.unwrapped, tau=tau) if loss.unwrapped.has_targets else None
+        self.targets = (
+            FusedSoftUpdate(loss.unwrapped, tau=tau) if getattr(loss.unwrapped, "has_targets", True) else None
+        )
         self.tau = tau
         temperature = loss.unwrapped.alpha_params
         self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None

@@ -232,14 +232,14 @@ def _serve(new_flight: Callable[[], Flight], threads: int, connection: Connectio
     with suppress(EOFError, OSError):  # that end is closed, or its process has died
         while True:
             arrays, tasks, seed = connection.recv()
-            answer: int | str = 0
             try:
                 flight = flight or new_flight()
-                weights = {name: torch.from_numpy(value) for name, value in arrays.items()}
+                weights, successes = {name: torch.from_numpy(value) for name, value in arrays.items()}, 0
                 for success in flight.outcomes(weights, tasks, seed):
-                    answer += success
+                    successes += success
                     if connection.poll():  # nothing is sent meanwhile
                         return
             except Exception as error:
-                answer = " ".join(f"{type(error).__name__}: {error}".split())
-            connection.send(answer)
+                connection.send(" ".join(f"{type(error).__name__}: {error}".split()))
+            else:
+                connection.send(successes)
