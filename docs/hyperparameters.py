@@ -20,7 +20,7 @@ SECTIONS = {
     "reward": ("reward",),
     "perception": ("perception",),
     "env": ("env",),
-    "training": ("trainer", "collector", "logger", ""),
+    "training": ("trainer", "validation", "collector", "logger", ""),
 }
 HEAD = ("key", "default", "`preset=dagger`", "meaning")
 LONGEST = 8  # numbers of a list that are shown

@@ -148,7 +148,8 @@ def test_the_list_is_what_a_run_hands_over(
     handed_over: dict[str, set[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chosen = ["fork=on", "lifeguard=linear", "backward_reward=abr", "demonstrator=vfh", "actor_penalty=imitation"]
-    settings = validate(small_config(tmp_path / "run", *chosen, "cloning=dagger"))
+    config = small_config(tmp_path / "run", *chosen, "cloning=dagger", "validation=unseen")
+    settings = validate(config)
     sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
     for module in (environment, build_module):
         monkeypatch.setattr(module, "require_keys", lambda *_: None)
@@ -167,6 +168,7 @@ def test_the_list_is_what_a_run_hands_over(
     actor = networks.make_actor(settings, sizes)
     loss = build_module.make_loss(settings, actor, sizes, cpu)
     build_module.make_cloning(settings, loss, sizes, "captured")
+    build_module.make_validation(settings, config, actor, sizes)
     build_module.make_backward_reward(settings, sizes, tmp_path / "artifact")
     build_module.make_buffer(settings, Env(), sizes, cpu)  # type: ignore[arg-type]
     loggers.make_logger(settings.logger, tmp_path / "run", "run", "csv")

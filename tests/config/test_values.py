@@ -18,7 +18,7 @@ from uavrl.errors import UavrlError
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [
-        (["trainer.until_success=80"], r"trainer\.until_success must be in \(0, 1\], got 80"),
+        (["trainer.until_success=80"], r"trainer\.until_success must be in \(0, 1\), got 80"),
         (["env.airframe.mass=-1"], r"env\.airframe: Mass, inertia"),
     ],
 )

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from uavrl.evaluation.sequential import Comparison, rate_bounds, stops_after
+from uavrl.evaluation.sequential import Comparison, evidence_above, has_exceeded, rate_bounds, stops_after
 
 
 def test_the_bounds_of_one_success_in_one_trial_are_worked_out_by_hand() -> None:
@@ -59,3 +59,42 @@ def test_it_stops_at_the_first_block_that_answers() -> None:
 def test_outcomes_of_different_tasks_are_refused() -> None:
     with pytest.raises(ValueError, match="argument 2 is shorter"):
         Comparison.of("SS", "S")
+
+
+def test_the_evidence_is_the_mean_likelihood_ratio_of_greater_rates() -> None:
+    """Over rates drawn as Jeffreys' prior has them above the rate, integrated numerically."""
+    angles = np.linspace(np.arcsin(np.sqrt(0.8)), np.pi / 2, 200_001)  # of the arcsine distribution, evenly
+    rates = np.sin(angles) ** 2
+    for successes, trials in ((0, 1), (3, 3), (17, 20), (40, 41)):
+        ratios = (rates / 0.8) ** successes * ((1 - rates) / 0.2) ** (trials - successes)
+        mean = (ratios[:-1] + ratios[1:]).sum() / 2 / (len(rates) - 1)
+        assert evidence_above(successes, trials, 0.8) == pytest.approx(mean, rel=1e-6)
+    assert evidence_above(0, 5000, 0.9) == 0.0
+
+
+@pytest.mark.parametrize("true", [0.9, 0.7])
+def test_the_evidence_is_expected_to_fall_while_the_rate_is_at_most_that(true: float) -> None:
+    for trials in range(30):
+        for successes in range(trials + 1):
+            now = evidence_above(successes, trials, 0.9)
+            after = [evidence_above(successes + won, trials + 1, 0.9) for won in (0, 1)]
+            assert (1 - true) * after[0] + true * after[1] <= now * (1 + 1e-9)
+
+
+def test_a_policy_that_learns_is_rarely_said_to_exceed_what_it_only_reaches() -> None:
+    """Its rate grows to 0.9 and stays there: of 200 trainings at most 5 % are ended by that rate."""
+    rng = np.random.default_rng(0)
+    rates = np.minimum(0.9, np.linspace(0.5, 1.2, 20))
+    wrong = sum(
+        any(has_exceeded(0.9, looks[:end]) for end in range(1, 21))
+        for looks in ([(int(rng.binomial(20, rate)), 20) for rate in rates] for _ in range(200))
+    )
+    assert wrong <= 200 * 0.05
+
+
+def test_looks_from_before_the_policy_was_good_cost_some_tasks_but_do_not_count_for_ever() -> None:
+    early = [(5, 20), (12, 20)]
+    needed = next(count for count in range(100) if has_exceeded(0.9, [*early, *[(20, 20)] * count]))
+    alone = next(count for count in range(100) if has_exceeded(0.9, [(20, 20)] * count))
+    assert alone < needed <= alone + 3
+    assert not has_exceeded(0.9, [])

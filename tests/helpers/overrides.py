@@ -54,6 +54,7 @@ GROUPS = {
     "actor_penalty": ["none", "own"],
     "smoothness": ["none", "action_rate"],
     "cloning": ["none", "dagger"],
+    "validation": ["none", "unseen"],
     "preset": ["thesis", "slow", "null"],
 }
 WILD = [

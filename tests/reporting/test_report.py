@@ -59,9 +59,12 @@ def test_what_to_know_stands_at_the_group_and_at_the_run(tmp_path: Path) -> None
         "TD3, prize": ["Its seeds have 3 to 4 episodes.", "Its runs were made by different states of the code."],
     }
     assert report.warnings() == ["one: Unfinished: 2 of 7 episodes."]
-    limits = {"steps": {"trainer__steps": 11}, "good": {"trainer__until_success": 0.5, "trainer__window": 2}}
+    limits = {"steps": {"trainer__steps": 11}, "good": {"trainer__until_success": 0.5}}
     for name, limit in limits.items():  # episodes take ten steps
         run_folder(tmp_path / name / "ended", "ca", trainer__episodes=7, **limit)
+    assert make_report([tmp_path / "good"], window=2).warnings() == ["ended: Unfinished: 2 of 7 episodes."]
+    summary = {"versions": {}, "episodes": 2}  # which a run writes when it ends
+    (tmp_path / "good" / "ended" / "summary.json").write_text(json.dumps(summary))
     run_folder(tmp_path / "steps" / "begun", "ca", seed=1, trainer__episodes=7, trainer__steps=21)
     assert make_report([tmp_path / "good"], window=2).warnings() == []
     assert make_report([tmp_path / "steps"], window=2).warnings() == ["begun: Unfinished: 2 of 7 episodes."]

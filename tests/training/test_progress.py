@@ -6,6 +6,7 @@ import pytest
 
 from uavrl.training import progress
 from uavrl.training.progress import Progress, steps_left
+from uavrl.training.validation import Validated
 
 RATES = {"arrived": 0.25, "collided": 0.5, "timed_out": 0.25}
 
@@ -65,7 +66,7 @@ def test_the_speed_is_that_of_the_last_minute(clock: Clock) -> None:
 @pytest.mark.parametrize(
     ("limit", "left", "goal"),
     [
-        ({"until_success": 0.85}, ", at most 24:36 left | 1,500 steps, 100 steps/s", "success 25.0 % of 85 %"),
+        ({"until_success": 0.85}, ", at most 24:36 left | 1,500 steps, 100 steps/s", "success 25.0 %, "),
         ({"last_step": 2500}, " elapsed, 00:10 left | 16 episodes, 100 steps/s", "success 25.0 %, "),
     ],
 )
@@ -77,6 +78,13 @@ def test_a_run_that_ends_before_its_episodes_says_so(
         clock.now = float(second)
         text = shown(line, second + 1, steps)
     assert left in text and goal in text
+
+
+def test_the_last_validation_stands_at_the_end_of_the_line(clock: Clock) -> None:
+    line = Progress(1000, 200, until_success=0.85)
+    assert "unseen" not in shown(line, 1, 100)
+    line.validated = str(Validated(10_000, 20, 19))
+    assert shown(line, 2, 200).endswith(" | unseen valleys: success 95.0 % of 20 tasks, 85 % ends the run")
 
 
 def test_the_flight_that_makes_the_last_step_leaves_no_time(clock: Clock) -> None:

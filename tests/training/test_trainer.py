@@ -14,7 +14,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from tests.helpers.runs import EASY, LIFEGUARD, small_config
+from tests.helpers.runs import LIFEGUARD, small_config
 from uavrl.collectors.stall_notice import StallNotice
 from uavrl.config import validate
 from uavrl.envs.world import World
@@ -130,22 +130,6 @@ def test_a_silence_is_explained_by_what_the_run_does_then(
             "scripted": told[1500] + controller,
         }[first]
     )
-
-
-# ---------------------------------------------------------------------- when a run ends, and how long it took
-
-
-def test_a_run_ends_by_itself_once_enough_of_the_last_flights_arrive(tmp_path: Path) -> None:
-    """Random flights, of which about half arrive: three of the last four end the run."""
-    rule = ["trainer.window=4", "trainer.until_success=0.75", "trainer.episodes=300"]
-    config = small_config(tmp_path / "run", *EASY, *rule)
-    summary = train(config, create_run(config))
-    arrived = [episode.outcome == "arrived" for episode in read_episodes(tmp_path / "run" / "episodes.csv")]
-    enough = [sum(arrived[end - 4 : end]) >= 3 for end in range(4, len(arrived) + 1)]
-    assert summary["episodes"] == len(arrived) < 300
-    assert enough == [False] * (len(enough) - 1) + [True]
-    again = train(config, tmp_path / "run", resume=True)
-    assert again["episodes"] == len(arrived), "a run that has ended is not flown on"
 
 
 # ---------------------------------------------------------------------- what is stored

@@ -21,6 +21,7 @@ CONTEXT: Mapping[str, tuple[str, ...]] = {
     "actor_penalty": _PENALTY,
     "smoothness": _PENALTY,
     "cloning": ("loss", "limit", "execution"),
+    "validation": ("new_flier", "policy", "seed"),
     "buffer": ("frames", "seed", "transform"),
     "backward_reward": ("stacked", "observations", "perception", "kept"),
     "collector": (

@@ -23,6 +23,7 @@ PARTS = (
     "actor_penalty",
     "smoothness",
     "cloning",
+    "validation",
     "buffer",
     "backward_reward",
     "demonstrator",

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from uavrl.config.parts import Part
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
-from uavrl_onboard.ranges import Count, Folder, Rule, Seed, Share, Text
+from uavrl_onboard.ranges import Count, Folder, Rule, Seed, Text
 from uavrl_onboard.sentences import require
 
 ExecutionChoice = Literal["eager", "captured", "compiled", "auto"]
@@ -33,7 +33,7 @@ class TrainerConfig:
 
     episodes: Count = 5000
     steps: Count | None = None
-    until_success: Share | None = None
+    until_success: Annotated[float, Field(gt=0, lt=1)] | None = None
     updates_per_step: Annotated[float, Field(gt=0, le=100)] = 1.0
     window: Count = 500
     checkpoint_interval: Count = 20_000
@@ -68,6 +68,7 @@ class TrainConfig:
     demonstrator: Part = field(default_factory=lambda: Part(_target_=None))
     smoothness: Part = field(default_factory=lambda: Part(_target_=None))
     cloning: Part = field(default_factory=lambda: Part(_target_=None))
+    validation: Part = field(default_factory=lambda: Part(_target_=None))
     recurrent: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[Text, ...] = ()

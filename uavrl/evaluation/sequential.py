@@ -1,4 +1,4 @@
-"""Compares two policies task by task, and may stop as soon as the answer is clear.
+"""Compares two policies task by task, or one with a success rate, and may stop as soon as the answer is clear.
 
 A confidence sequence holds at every number of tasks at once, so that looking after each task and stopping at will keep
 the error rate. Sources: Robbins (1970), Statistical methods related to the law of the iterated logarithm, for the
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import betaln, xlogy
+from scipy.special import betainc, betaln, xlogy
 
 ERROR = 0.05
 SHARE_OF_RATE = (
@@ -47,6 +47,55 @@ def rate_bounds(successes: int, trials: int, error: float) -> tuple[float, float
     low = 0.0 if excess(edge) <= 0 else brentq(excess, edge, max(likeliest, edge))
     high = 1.0 if excess(1 - edge) <= 0 else brentq(excess, min(likeliest, 1 - edge), 1 - edge)
     return low, high
+
+
+def evidence_above(successes: int, trials: int, rate: float) -> float:
+    """Return how much likelier the outcomes are under greater success rates than under ``rate``.
+
+    The greater rates are weighted as Jeffreys' prior weights them. While every trial succeeds with a probability of at
+    most ``rate``, which may change from trial to trial, this is a supermartingale that starts at 1: it ever reaches
+    ``1 / error`` with a probability of at most ``error`` (Ville's inequality).
+
+    Args:
+        successes: how many of the trials so far succeeded.
+        trials: how many there were.
+        rate: success rate in (0, 1).
+
+    Examples:
+        >>> evidence_above(0, 0, 0.9)
+        1.0
+        >>> round(evidence_above(60, 60, 0.9)), round(evidence_above(54, 60, 0.9), 2)
+        (197, 0.24)
+    """
+    failures = trials - successes
+    above = betainc([failures + 0.5, 0.5], [successes + 0.5, 0.5], 1 - rate)  # shares of the rates above, by symmetry
+    if above[0] == 0:  # far fewer successes than that
+        return 0.0
+    mixture = betaln(successes + 0.5, failures + 0.5) - betaln(0.5, 0.5) + np.log(above[0]) - np.log(above[1])
+    return float(np.exp(min(mixture - xlogy(successes, rate) - xlogy(failures, 1 - rate), 700.0)))
+
+
+def has_exceeded(rate: float, looks: Sequence[tuple[int, int]], error: float = ERROR) -> bool:
+    """Whether a policy that goes on learning has come to succeed more often than ``rate``.
+
+    The evidence since the first look, since the second one and so on is weighted by 1/2, 1/6, 1/12 …, which add up to
+    1: outcomes from the time when the policy was worse do not count for ever. If the policy never succeeds more often
+    than ``rate``, this is ever true with a probability of at most ``error``, however often one looks.
+
+    Args:
+        rate: success rate in (0, 1).
+        looks: successes and trials of each look, in their order.
+        error: probability of a wrong yes.
+
+    Examples:
+        >>> has_exceeded(0.9, [(20, 20)] * 2), has_exceeded(0.9, [(20, 20)] * 3), has_exceeded(0.9, [(18, 20)] * 50)
+        (False, True, False)
+    """
+    evidence, successes, trials = 0.0, 0, 0
+    for first in range(len(looks), 0, -1):
+        successes, trials = successes + looks[first - 1][0], trials + looks[first - 1][1]
+        evidence += evidence_above(successes, trials, rate) / (first * (first + 1))
+    return evidence >= 1 / error
 
 
 @dataclass(frozen=True)

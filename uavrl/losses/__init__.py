@@ -3,6 +3,7 @@
 from uavrl.losses.action_rate import ActionRate
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.actor_penalty import ActorPenalty, AuxiliaryModel
+from uavrl.losses.crossq import CrossQLoss, CrossQTD3Loss
 from uavrl.losses.ddpg import DDPGLoss
 from uavrl.losses.fork import Fork
 from uavrl.losses.imitation import Imitation
@@ -17,6 +18,8 @@ __all__ = [
     "ActorCriticLoss",
     "ActorPenalty",
     "AuxiliaryModel",
+    "CrossQLoss",
+    "CrossQTD3Loss",
     "DDPGLoss",
     "Fork",
     "Imitation",

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import torch
 from tensordict import TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
@@ -16,6 +13,7 @@ from torchrl.objectives import LossModule, REDQLoss
 
 from uavrl.errors import UavrlError
 from uavrl.losses.actor_critic import ActorCriticLoss
+from uavrl.losses.critics import in_mode
 
 _LOG_PROB = "_log_prob"  # where the log-probability of a sampled action is kept
 _CRITICS = (
@@ -61,18 +59,6 @@ def _network(loss: LossModule, name: str) -> TensorDictModuleBase | None:
 def _critic(loss: LossModule) -> TensorDictModuleBase | None:
     names = (loss.critic_name,) if isinstance(loss, ActorCriticLoss) else _CRITICS
     return next((critic for name in names if (critic := _network(loss, name)) is not None), None)
-
-
-@contextmanager
-def _evaluating(network: nn.Module) -> Iterator[None]:
-    """Sets a network to evaluation: the statistics of CrossQ's normalisation are used and do not move."""
-    modes = {module: module.training for module in network.modules()}
-    network.eval()
-    try:
-        yield
-    finally:
-        for module, mode in modes.items():
-            module.training = mode
 
 
 class TorchRLLoss:
@@ -159,7 +145,7 @@ class TorchRLLoss:
         params = getattr(loss, f"target_{self.critic_name}_params") if target else self.critic_network_params.detach()
         every = params.unbind(0) if params.batch_dims else (params,)
         inputs = acted.select(*critic.in_keys)
-        with _evaluating(critic):
+        with in_mode(critic, training=False):
             values = torch.stack([self._value(critic, one, inputs) for one in (every if self.samples else every[:1])])
         if isinstance(loss, REDQLoss):
             return values.mean(0)

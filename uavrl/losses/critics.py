@@ -1,7 +1,8 @@
-"""Several critics of one, and several evaluated as one."""
+"""Several critics of one, several evaluated as one, and the mode that they are in."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
@@ -53,6 +54,18 @@ def is_stackable(network: nn.Module) -> bool:
     if _owner(network, "forward") is not TensorDictModule or network._kwargs is not None or network.method is not None:
         return False
     return "forward_stacked" in vars(_owner(network.module, "forward"))
+
+
+@contextmanager
+def in_mode(network: nn.Module, *, training: bool) -> Iterator[None]:
+    """Sets a network to training or evaluation, where running statistics are used and do not move, and back again."""
+    modes = {module: module.training for module in network.modules()}
+    network.train(training)
+    try:
+        yield
+    finally:
+        for module, mode in modes.items():
+            module.training = mode
 
 
 def _owner(instance: object, method: str) -> type:

@@ -120,7 +120,10 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         The metadata of transitions ``[*B]`` are detached, ``td_error`` (squared, ``[K, *B]``) among them.
         """
         target = self._compute_target_v2(tensordict)
-        value = self._values(tensordict, self.qvalue_network_params)
+        return self._compared(tensordict, self._values(tensordict, self.qvalue_network_params), target)
+
+    def _compared(self, tensordict: TensorDictBase, value: Tensor, target: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """The reduced error of values ``[K, *B]`` against targets ``[*B]``, and metadata."""
         errors = distance_loss(value, target.expand_as(value), loss_function=self.loss_function).sum(0)
         metadata = {"td_error": (value - target).square(), "pred_value": value, "target_value": target}
         return self._reduced(errors, tensordict), {name: number.detach() for name, number in metadata.items()}

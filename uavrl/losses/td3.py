@@ -109,18 +109,28 @@ class TD3Loss(ActorCriticLoss, _TD3Loss):
 
         As TorchRL computes it; here, critics may read more of the next state than the actor does.
         """
+        with torch.no_grad():
+            next_value = self._values(self._acted_next(tensordict), self.target_qvalue_network_params)
+        return self._compared(tensordict, self._values(tensordict, self.qvalue_network_params), next_value)
+
+    @torch.no_grad()
+    def _acted_next(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The next states ``[*B]`` with the target actor's noisy actions (Eq. 2.10)."""
         action = tensordict.get(self.tensor_keys.action)
         noise = (torch.randn_like(action) * self.policy_noise).clamp(-self.noise_clip, self.noise_clip)
-        with torch.no_grad():
-            following = step_mdp(tensordict).select(*self.actor_network.in_keys, *self._read_by_critics, strict=False)
-            with self.target_actor_network_params.to_module(self.actor_network, preserve_module_state=False):
-                following = self.actor_network(following)
-            noisy = (following.get(self.tensor_keys.action) + noise).clamp(self.min_action, self.max_action)
-            following.set(self.tensor_keys.action, noisy)
-            next_value = self._values(following, self.target_qvalue_network_params).amin(0)
+        following = step_mdp(tensordict).select(*self.actor_network.in_keys, *self._read_by_critics, strict=False)
+        with self.target_actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            following = self.actor_network(following)
+        noisy = (following.get(self.tensor_keys.action) + noise).clamp(self.min_action, self.max_action)
+        return following.set(self.tensor_keys.action, noisy)
+
+    def _compared(
+        self, tensordict: TensorDictBase, value: Tensor, next_values: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The reduced error of values ``[K, *B]`` against the target of the smallest next ones, and metadata."""
+        next_value = next_values.amin(0)
         told = tensordict.copy().set(("next", self.tensor_keys.state_action_value), next_value.unsqueeze(-1))
         target = self.value_estimator.value_estimate(told).squeeze(-1)
-        value = self._values(tensordict, self.qvalue_network_params)
         errors = distance_loss(value, target.expand_as(value), loss_function=self.loss_function).sum(0)
         metadata = {
             "td_error": (value - target).pow(2),

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from uavrl.models.actor_critic import Actor, Critic, GaussianActor, mlp
+from uavrl.models.batch_renorm import BatchRenorm, BatchRenormCritic
 from uavrl.models.collision import (
     CollisionClassifier,
     ConfusionRates,
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = [
     "PSAE",
     "Actor",
+    "BatchRenorm",
+    "BatchRenormCritic",
     "CollisionClassifier",
     "ConfusionRates",
     "Critic",

@@ -146,6 +146,8 @@ def _stacked(layer: nn.Module, parameters: Mapping[str, Tensor], inputs: Tensor)
         for name, child in layer._modules.items():
             inputs = _stacked(child, _below(name, parameters), inputs)
         return inputs
+    if "forward_stacked" in vars(type(layer)):
+        return layer.forward_stacked(parameters, inputs)  # type: ignore[operator]
     if type(layer) is nn.Linear and parameters.keys() == {"weight", "bias"}:
         return _StackedLinear.apply(*_autocast(inputs, parameters["weight"], parameters["bias"]))
     if parameters:

@@ -44,6 +44,7 @@ class Run:
         seed: of the run.
         episodes: at least one.
         versions: of uavrl and torch, and the commit, where the run has ended and recorded them.
+        ended_with: episodes that it had when it ended last.
         evaluations: the files of ``uavrl-evaluate`` in the folder, each with its ``file``, without single episodes.
         class_sizes: of the trajectory classes, where the folder holds their artifact.
         notes: faults that do not keep it from being reported.
@@ -56,19 +57,18 @@ class Run:
     seed: int
     episodes: list[Episode]
     versions: dict[str, Any] = field(default_factory=dict)
+    ended_with: int | None = None
     evaluations: list[dict[str, Any]] = field(default_factory=list)
     class_sizes: dict[str, Any] | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
     def finished(self) -> bool:
-        """Whether it has reached its number of episodes or of steps, or its success rate."""
+        """Whether it has reached its number of episodes or of steps, or says that it has ended with these episodes."""
         trainer = self.config["trainer"]
-        last = self.episodes[-trainer.get("window", 0) :] or self.episodes
-        success = sum(episode.outcome == "arrived" for episode in last) / len(last)
-        limits = (trainer["episodes"], trainer.get("steps"), trainer.get("until_success") or None)
-        reached = (len(self.episodes), self.steps, success)
-        return any(limit is not None and value >= limit for value, limit in zip(reached, limits, strict=True))
+        limits, reached = (trainer["episodes"], trainer.get("steps")), (len(self.episodes), self.steps)
+        flown = any(limit is not None and value >= limit for value, limit in zip(reached, limits, strict=True))
+        return flown or self.ended_with == len(self.episodes)
 
     @property
     def steps(self) -> int:
@@ -130,6 +130,7 @@ def read_run(folder: Path, name: str) -> Run:
     config = _read(folder / CONFIG, _config)
     choices = {str(group): str(choice) for group, choice in config["choices"].items()}
     notes: list[str] = []
+    versions, ended_with = _optional(folder / "summary.json", _summary, notes) or ({}, None)
     return Run(
         name=name,
         config=config,
@@ -137,7 +138,8 @@ def read_run(folder: Path, name: str) -> Run:
         choices=choices,
         seed=config["seed"],
         episodes=_read(folder / EPISODES, _episodes),
-        versions=_optional(folder / "summary.json", _versions, notes) or {},
+        versions=versions,
+        ended_with=ended_with,
         evaluations=[
             row for path in sorted(folder.glob("evaluation*.json")) if (row := _optional(path, _evaluation, notes))
         ],
@@ -188,7 +190,7 @@ def _config(path: Path) -> dict[str, Any]:
     if config:  # an empty file is a broken one
         _require_keys(path, config, "seed", "trainer.episodes", "choices.algo")
     seed, trainer, _ = int(config["seed"]), config["trainer"], learner_name(config["choices"])
-    kinds = {"episodes": int, "steps": int, "window": int, "until_success": float}
+    kinds = {"episodes": int, "steps": int, "window": int}
     limits = {key: kind(trainer[key]) for key, kind in kinds.items() if key == "episodes" or trainer.get(key)}
     return {**config, "seed": seed, "trainer": {**trainer, **limits}}
 
@@ -211,10 +213,11 @@ def _episodes(path: Path) -> list[Episode]:
     return episodes
 
 
-def _versions(path: Path) -> dict[str, Any]:
+def _summary(path: Path) -> tuple[dict[str, Any], int | None]:
     content = json.loads(path.read_bytes())
     _require_keys(path, content, "versions")
-    return {key: value for key, value in content["versions"].items() if value is not None}
+    versions = {key: value for key, value in content["versions"].items() if value is not None}
+    return versions, content.get("episodes")
 
 
 def _class_sizes(path: Path) -> dict[str, Any]:

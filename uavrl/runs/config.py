@@ -15,6 +15,7 @@ from uavrl.runs.names import CONFIG
 FREE_KEYS = (
     *("run_dir", "resume", "logger", "choices", "packages", "collector.address", "collector.workers"),
     *("trainer.episodes", "trainer.steps", "trainer.until_success", "trainer.progress", "trainer.keep_checkpoints"),
+    "validation",
 )
 # What a run may change when it goes on, on another machine perhaps: it bears on the last digits alone.
 MACHINE_KEYS = ("device", "trainer.execution", "trainer.threads", "trainer.matmul")

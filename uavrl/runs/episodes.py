@@ -236,11 +236,6 @@ class EpisodeLog:
         total = max(len(self._recent), 1)
         return {name: sum(e.outcome == name for e in self._recent) / total for name in OUTCOMES}
 
-    @property
-    def window_began(self) -> int:
-        """Steps of the episodes that ended before the window."""
-        return self._recent[0].total_steps - self._recent[0].steps if self._recent else 0
-
     def mean_return(self) -> float:
         """Mean return over the window; 0 before the first episode."""
         return sum(e.episode_return for e in self._recent) / max(len(self._recent), 1)

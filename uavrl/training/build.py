@@ -1,12 +1,13 @@
 """The trainer of a configuration, with all its parts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 from torchrl.checkpoint import Checkpoint
@@ -20,14 +21,16 @@ from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep, Windows
 from uavrl.collectors.base import REQUIRED, EpisodeCollector
 from uavrl.config.build import TARGET, build, find_class, options
 from uavrl.config.context import CONTEXT, refuse_context
-from uavrl.config.parts import STEPPER
+from uavrl.config.parts import STEPPER, Part
 from uavrl.config.settings import TrainConfig
+from uavrl.config.validation import validate
 from uavrl.envs.privileged import QUANTITIES
 from uavrl.envs.rules import WorldRules
 from uavrl.envs.world import map_places
 from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import saved_sizes
 from uavrl.evaluation.environment import make_device, make_env, require_keys
+from uavrl.evaluation.worlds import without_variety
 from uavrl.losses import ActorCriticLoss, ActorPenalty, Fork, LifeGuard, SequenceLoss
 from uavrl.losses.networks import (
     NetworkSizes,
@@ -53,11 +56,14 @@ from uavrl.training.matmul import with_matmul_backend
 from uavrl.training.replay import EpisodeReplay
 from uavrl.training.trainer import EpisodeTrainer, barrier_seed
 from uavrl.training.update import ActorCriticStepper
+from uavrl.training.validation import Flier, Flight, HereFlier, ProcessFlier, Validation
 from uavrl.transforms import Mirror, NavigationState
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION, Demonstrator, DemonstratorEnv
 from uavrl.transforms.privileged import PRIVILEGED
 from uavrl.transforms.rewards import terms_of
 from uavrl_onboard.sentences import require
+
+VALIDATED_TOGETHER = 10  # vehicles of a validation
 
 
 def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
@@ -90,6 +96,7 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         ),
         episode_log=EpisodeLog(run_dir / EPISODES, settings.trainer.window),
         rotation=rotation(run_dir, settings.trainer.keep_checkpoints),
+        validation=make_validation(settings, config, actor, sizes),
         metadata={"fingerprint": fingerprint(config), "uavrl": uavrl.__version__, "commit": commit()},
         policy=actor,
         episodes=settings.trainer.episodes,
@@ -116,6 +123,8 @@ def make_loss(
         told = "td3 or sac with algo.critic_reads: choose one of them"
         require(loss_type.critics_may_differ, "algo", told, settings.algo["_target_"])
         more[PRIVILEGED] = sizes.privileged
+    read = "layer_norm" in settings.algo.critic or not settings.algo.get("layer_norm", False)
+    require(read, "algo.layer_norm", f"false with {settings.algo.critic[TARGET]}, which does not take it", True)
     critics = [
         TensorDictModule(
             make_network("critic", settings, sizes, *more.values()).to(device),
@@ -178,6 +187,51 @@ def make_cloning(
     return build(
         part, Cloning, packages=settings.packages, key="cloning", loss=loss, limit=sizes.limit, execution=execution
     )
+
+
+def make_validation(
+    settings: TrainConfig, config: DictConfig, actor: TensorDictModuleBase, sizes: NetworkSizes
+) -> Validation | None:
+    """What evaluates the policy while it trains; None where nothing does."""
+    part, remote = settings.validation, collector_class(settings).is_remote
+    wanted = "unseen, which measures the success rate that ends the run (trainer.until_success)"
+    require(part._target_ is not None or settings.trainer.until_success is None, "validation", wanted, None)
+    if part._target_ is None:
+        return None
+    flown = validate(without_variety(config, OmegaConf.create({"env": {}}), ()))  # as uavrl-evaluate flies it
+
+    def new_flier(seeds: Sequence[int]) -> Flier:
+        new_flight = partial(make_flight, _in_valleys(flown, seeds), sizes)
+        if remote:
+            return ProcessFlier(with_matmul_backend(new_flight), settings.trainer.threads)
+        return HereFlier(new_flight)
+
+    handed: dict[str, Any] = {"new_flier": new_flier, "policy": actor, "seed": settings.seed}
+    return build(part, Validation, packages=settings.packages, key="validation", **handed)
+
+
+def _in_valleys(settings: TrainConfig, seeds: Sequence[int]) -> TrainConfig:
+    """The settings with worlds of those seeds in which the run does not train, where there is a choice of worlds."""
+    world = settings.env.get("world")
+    if world is None or not world.VARIES:
+        return settings
+    unseen = tuple(seed for seed in seeds if seed not in world.seeds)
+    require(bool(unseen), "validation.seeds", "seeds of valleys in which the run does not train", list(seeds))
+    return replace(settings, env=Part({**settings.env, "world": replace(world, seeds=unseen)}))
+
+
+def make_flight(settings: TrainConfig, sizes: NetworkSizes) -> Flight:
+    """The environment and the policy of a validation."""
+    parts, state = (settings.env, settings.perception, settings.reward), recurrent_shape(settings)
+    env = make_env(
+        *parts,
+        packages=settings.packages,
+        num_uavs=VALIDATED_TOGETHER,
+        recurrent_state=state,
+        measure_clearance=False,
+        seed=0,
+    )
+    return Flight(env, make_actor(settings, sizes))
 
 
 def load_risk(

@@ -72,7 +72,8 @@ class LossGradients:
 
     A recording holds as long as the loss takes the same branches: ``mode()`` names them, and each mode, set of
     entries, batch size, type and device is recorded once. Parameters and buffers must be changed in place.
-    ``in_keys`` are what the loss reads of a batch, None for all there is.
+    ``in_keys`` are what the loss reads of a batch, None for all there is. ``statistics`` are the buffers that the loss
+    changes in place.
 
     Examples:
         >>> weight = torch.nn.Parameter(torch.ones(3))
@@ -88,6 +89,7 @@ class LossGradients:
         execution: Execution = "captured",
         in_keys: Sequence[Any] | None = None,
         mode: Callable[[], Hashable] = tuple,
+        statistics: Sequence[Tensor] = (),
     ) -> None:
         if execution not in ("eager", "captured", "compiled"):
             raise UavrlError(f"execution must be eager, captured or compiled, got {execution!r}.")
@@ -96,6 +98,7 @@ class LossGradients:
         self.in_keys = in_keys
         self.execution = execution
         self.mode = mode
+        self.statistics = list(statistics)
         self._recorded: dict[Hashable, Callable[[Sequence[Tensor]], Gradients]] = {}
 
     def __call__(self, batch: TensorDictBase) -> Gradients:
@@ -124,8 +127,11 @@ class LossGradients:
             return (result.loss, *result.metadata.values(), *result.gradients)
 
         devices = {leaf.device.index for leaf in inputs if leaf.is_cuda}
+        before = [each.clone() for each in self.statistics]
         with torch.random.fork_rng(devices):  # recording draws random numbers; replaying draws them again
             graph = make_fx(flat)(*inputs)
+        for each, value in zip(self.statistics, before, strict=True):
+            each.copy_(value)
         constants = _lift_constants(graph) if self.execution == "compiled" else []
         run = _compile(graph, [*inputs, *constants]) if self.execution == "compiled" else graph
         recorded = tuple(names)
@@ -251,8 +257,10 @@ class GradientStep:
         in_keys: Sequence[Any] | None = None,
         mode: Callable[[], Hashable] = tuple,
     ) -> None:
+        parameters = list(parameters)
         leaves = [parameter for parameter in parameters if parameter.requires_grad]
-        self.gradients = LossGradients(loss_method, leaves, execution, in_keys, mode)
+        statistics = [buffer for buffer in parameters if not buffer.requires_grad]
+        self.gradients = LossGradients(loss_method, leaves, execution, in_keys, mode, statistics)
         self.optimizer = FusedAdam(leaves, lr=lr)
 
     def __call__(self, batch: TensorDictBase) -> Gradients:

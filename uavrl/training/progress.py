@@ -58,8 +58,9 @@ class Progress:
         self._demonstrated = demonstrated
         self._by_steps = last_step is not None
         self._last_step = math.inf if last_step is None else last_step
-        self._goal = "" if until_success is None else f" of {100 * until_success:g} %"
+        self._goal = "" if until_success is None else f", {100 * until_success:g} % ends the run"
         self._at_most = "" if until_success is None else "at most "
+        self.validated = ""  # the last validation
         self._times: deque[tuple[float, int]] = deque()
         self._compiled = False
         self._before = (done, steps)
@@ -73,10 +74,11 @@ class Progress:
         left, speed = self._left(episodes, steps), self._speed()
         beside += "" if speed is None else f", {speed:.0f} steps/s"
         success, collision, time_out = (f"{100 * rates[name]:.1f} %" for name in RATES.values())
+        unseen = f" | unseen valleys: {self.validated}{self._goal}" if self.validated else ""
         self._bar.set(
             self._gone(episodes, steps),
-            f"{left} | {beside} | last {min(self._window, max(episodes, 1))}: success {success}{self._goal}, "
-            f"collision {collision}, time-out {time_out}, return {mean_return:.1f}",
+            f"{left} | {beside} | last {min(self._window, max(episodes, 1))}: success {success}, "
+            f"collision {collision}, time-out {time_out}, return {mean_return:.1f}{unseen}",
         )
 
     def _gone(self, episodes: int, steps: int) -> int:

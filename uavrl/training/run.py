@@ -6,6 +6,7 @@ import random
 import shutil
 import signal
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,8 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
             max_steps=settings.env.get("max_steps", 0),
             until_success=settings.trainer.until_success,
         )
+        if trainer.validation is not None and trainer.validation.found:
+            trainer.progress.validated = str(trainer.validation.found[-1])
         if trainer.finished:
             more = "trainer.episodes, trainer.steps or trainer.until_success must ask for more"
             log.info("%s has ended: %s.", run_dir, more)
@@ -155,6 +158,8 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
     finally:
         stop.shutting_down()
         trainer.progress.close()
+        if trainer.validation is not None:
+            trainer.validation.close()
         trainer.collector.shutdown()
         close(trainer.log.logger)
 
@@ -223,6 +228,8 @@ def _summarize(trainer: EpisodeTrainer, settings: TrainConfig, run_dir: Path) ->
         "window": settings.trainer.window,
         "rates": trainer.episode_log.rates(),
         "mean_return": trainer.episode_log.mean_return(),
+        "validations": [] if trainer.validation is None else [asdict(each) for each in trainer.validation.found],
+        "reached_success": trainer.reached,
         "versions": versions(),
         "processor": processor(),
     }

@@ -1,5 +1,6 @@
 """The loop of a run: Algorithm 3.1, able to stop at any checkpoint and to go on bit by bit."""
 
+import logging
 import math
 import time
 from collections.abc import Iterator
@@ -25,10 +26,12 @@ from uavrl.training.loggers import IntervalLog
 from uavrl.training.progress import Progress
 from uavrl.training.replay import EpisodeReplay
 from uavrl.training.update import ActorCriticStepper
+from uavrl.training.validation import Validation
 from uavrl.transforms.rewards import RewardTerms
 from uavrl_onboard.files import naming, require_room
 from uavrl_onboard.pluralize import pluralize
 
+log = logging.getLogger(__name__)
 WAITED_FOR = "No episode has ended for a while: one takes up to env.max_steps steps"
 UPDATES = (
     "or the updates after one are being made, trainer.updates_per_step for each of its steps; the first are compiled"
@@ -75,12 +78,13 @@ class EpisodeTrainer:
     metadata: dict[str, Any]  # goes into each checkpoint's manifest
     episodes: int
     steps: int | None  # of whole episodes, which end the training before
-    until_success: float | None  # the success rate over ``episode_log.window`` episodes that ends the training before
+    until_success: float | None  # the success rate of ``validation`` that ends the training before
     learning_starts: int  # steps
-    stats_start: int  # steps; episodes that ended before are a scripted controller's, and say nothing of the policy
+    stats_start: int  # steps; episodes that ended before are a scripted controller's
     seed: int
     checkpoint_interval: int  # steps of whole episodes after which a checkpoint is due
     cloning: Cloning | None = None  # the first phase, if there is one
+    validation: Validation | None = None  # measures the policy's success in unseen valleys meanwhile
     reward_terms: RewardTerms | None = None  # the named terms of the reward
     progress: Progress = field(default_factory=lambda: Progress(0, 1, enabled=False))
     stop: Stop = field(default_factory=Stop)
@@ -125,6 +129,8 @@ class EpisodeTrainer:
                     self.clone(self.cloning)
                 elif self.collected_frames >= self.learning_starts:
                     self.learn(updates, actor=len(stored) > 0)
+                if self.validation is not None and not self.finished:
+                    self.validate(self.validation)
                 if self.finished:
                     self.save()
                     break
@@ -165,6 +171,22 @@ class EpisodeTrainer:
         self._require_finite(losses["loss_value"].item(), "The critic's loss", self.stepper.updates)
         self.log.add({"optim_steps": self.stepper.updates, **losses}, self.collected_frames)
 
+    def validate(self, validation: Validation) -> None:
+        """Takes in a validation that has ended, and begins one that is due."""
+        if (found := validation.advance(self.collected_frames, self.until_success)) is None:
+            return
+        self._stall_notice.reset()
+        self.progress.validated = str(found)
+        self.log.add({"success_unseen": found.rate}, found.steps)
+        if self.reached:
+            log.info(
+                "The policy exceeds a success rate of %g %% in unseen valleys (probability of a wrong verdict: %g), "
+                "and the run ends. The last validation: %s.",
+                100 * (self.until_success or 0),
+                validation.error,
+                found,
+            )
+
     def _require_finite(self, value: float, name: str, updates: int) -> None:
         if not math.isfinite(value):
             raise UavrlError(
@@ -203,13 +225,17 @@ class EpisodeTrainer:
         return self.seconds_before + time.monotonic() - self._began
 
     @property
+    def reached(self) -> bool:
+        """Whether the policy exceeds the success rate that ends the training."""
+        if self.validation is None or self.until_success is None:
+            return False
+        return self.validation.reached(self.until_success)
+
+    @property
     def finished(self) -> bool:
-        """Whether there are enough episodes or steps, or enough of the last episodes were a success."""
-        log = self.episode_log
-        flown = log.count >= self.episodes or (self.steps is not None and self.collected_frames >= self.steps)
-        trained = self.until_success is not None and log.rates()["arrived"] >= self.until_success
-        own = log.count >= log.window and log.window_began >= self.stats_start
-        return flown or (trained and own)
+        """Whether there are enough episodes or steps, or the policy is good enough."""
+        enough = self.steps is not None and self.collected_frames >= self.steps
+        return enough or self.episode_log.count >= self.episodes or self.reached
 
     def save_if_due(self) -> None:
         """Saves once the episodes have ended that were open when a checkpoint became due.
@@ -255,9 +281,12 @@ class EpisodeTrainer:
         return 3 * networks + self.replay.buffer.storage.frame_bytes + 80 * len(self.replay.buffer)
 
     def state_dict(self) -> dict[str, Any]:
-        """How far the run has come."""
-        return {"collected_frames": self.collected_frames, "last_save": self._last_save}
+        """How far the run has come, and how well its policy did in unseen valleys, if that was measured."""
+        validation = {} if self.validation is None else {"validation": self.validation.state_dict()}
+        return {"collected_frames": self.collected_frames, "last_save": self._last_save, **validation}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self.collected_frames, self._last_save = state_dict["collected_frames"], state_dict["last_save"]
+        if self.validation is not None and "validation" in state_dict:  # a run may go on with or without one
+            self.validation.load_state_dict(state_dict["validation"])

@@ -45,7 +45,7 @@ class ActorCriticStepper(OptimizationStepper):
         critic_lr: Adam's step for the critics.
         temperature_lr: Adam's step for SAC's temperature.
         policy_delay: critic steps for each step of actor and targets.
-        tau: share of the online networks in each target update (Eq. 2.9).
+        tau: share of the online networks in each target update (Eq. 2.9), if the loss has targets.
         execution: as in :class:`~uavrl.training.compiled.LossGradients`.
     """
 
@@ -71,7 +71,10 @@ class ActorCriticStepper(OptimizationStepper):
         in_keys = [*loss.in_keys, *keys]
         self.critic = GradientStep(self._value_loss, loss.critic_parameters, critic_lr, execution, in_keys)
         self.actor = GradientStep(loss.actor_loss, loss.actor_parameters, actor_lr, execution, in_keys, self._active)
-        self.targets, self.tau = FusedSoftUpdate(loss.unwrapped, tau=tau), tau
+        self.targets = (
+            FusedSoftUpdate(loss.unwrapped, tau=tau) if getattr(loss.unwrapped, "has_targets", True) else None
+        )
+        self.tau = tau
         temperature = loss.unwrapped.alpha_params
         self.temperature = torch.optim.Adam(temperature, lr=temperature_lr) if temperature else None
         models = [model for penalty in loss.penalties for model in penalty.models]
@@ -107,7 +110,8 @@ class ActorCriticStepper(OptimizationStepper):
                 self.temperature.zero_grad(set_to_none=True)
                 self.loss.unwrapped.alpha_loss(actor.metadata["log_prob"]).backward()
                 self.temperature.step()
-            self.targets.step()
+            if self.targets is not None:
+                self.targets.step()
             self.loss.move_memories(self.tau)
         return TensorDict({"loss_value": value.loss, "loss_actor": self._actor_loss, "value": value.metadata["value"]})
 

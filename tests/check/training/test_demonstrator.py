@@ -22,14 +22,12 @@ EASY = [
 ]
 
 
-def test_flights_of_the_guide_are_learned_from_at_once_and_end_no_training(tmp_path: Path) -> None:
-    rule = ["trainer.window=3", "trainer.until_success=0.6", "trainer.episodes=30", "logger.interval=1"]
+def test_flights_of_the_guide_are_learned_from_at_once(tmp_path: Path) -> None:
+    rule = ["trainer.episodes=30", "logger.interval=1"]
     config = small_config(tmp_path / "run", "demonstrator=vfh", "algo.learning_starts=300", *EASY, *rule)
-    summary = train(config, create_run(config))
+    train(config, create_run(config))
     flights = read_episodes(tmp_path / "run" / "episodes.csv")
-    demonstrated = [flight for flight in flights if flight.total_steps <= 300]
-    assert sum(flight.outcome == "arrived" for flight in demonstrated[:3]) >= 2, "the rule would have ended it"
-    assert summary["episodes"] > len(demonstrated) >= 3
+    assert sum(flight.total_steps <= 300 for flight in flights) >= 3
     (file,) = (tmp_path / "run" / "logs").rglob("optim_steps.csv")
     first = file.read_text().splitlines()[0]
     assert int(first.split(",")[0]) < 300, "updates begin with the first flight"

@@ -44,6 +44,10 @@ RECURRENT = [  # clones, and then learns as CLONED does, on windows, with critic
     "algo.critic_reads=[clearance,planes,wind]",
 ]
 
+VALIDATED = ["validation=unseen", "validation.interval=30", "validation.tasks=2", "validation.seeds=[7]"]
+
+CROSSQ = ["algo=crossq_td3", "algo.critic.hidden=[16]", "algo.critic.warmup=20", "algo.n_steps=3"]
+
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 
 
@@ -119,7 +123,7 @@ def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]],
 @pytest.mark.parametrize(
     "overrides",
     [
-        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, RANDOMIZED, GUIDED, CLONED, RECURRENT),
+        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, RANDOMIZED, GUIDED, CLONED, RECURRENT, VALIDATED, CROSSQ),
         *(pytest.param(o, marks=pytest.mark.slow) for o in (DDPG, SAC)),
     ],
 )
