@@ -38,6 +38,7 @@ def test_a_planner_assumes_the_airframe_and_the_flight_level_of_its_world() -> N
 
 def test_a_contract_says_what_its_vehicle_is(tmp_path: Path) -> None:
     told = json.loads((PACKAGED / "best" / "contract.json").read_text())
+    told.pop("sha256")  # a contract without a checksum may be edited
     assert read_contract(PACKAGED / "best").vehicle == VEHICLE
     told["cloud"]["sensor_position"] = [0.05, 0.0, 0.2]
     told["action"]["high"] = [1.5, 1.5, 1.0, 1.2]
