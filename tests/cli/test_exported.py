@@ -72,7 +72,7 @@ def test_environment_and_perception_are_the_contracts_unless_the_sensor_is_said_
     assert setup.perception["reduction"] == "range_image" and setup.perception["radius"] == 6.0
     assert setup.perception["lidar"].max_range == 6.0, "what the policy sees, the sensor reports"
     assert list(setup.env["airframe"].lidar_position) == [0.0, 0.0, 0.2]
-    read = {"keep_cloud": True, "mark_resets": True, "recurrent_state": None}
+    read = {"keep_cloud": True, "mark_resets": True, "recurrent_state": None, "policy_reads": setup.policy.in_keys}
     assert setup.env_options == {**read, "guards": GuardSettings()}
     other = chosen(folder, "env.airframe.lidar_position=[0,0,0.1]", "perception.lidar.max_range=50", "env=dynamic")
     assert list(other.env["airframe"].lidar_position) == [0.0, 0.0, 0.1] and other.env["world"].planes > 0

@@ -25,7 +25,7 @@ from uavrl.sitl.sitl import Result
         ("lidar=127.0.0.1:2368", "lidar must be udp://HOST:PORT"),
         ("lidar=udp://127.0.0.1:99999", "lidar must be udp://HOST:PORT"),
         ("perception=none", "perception must be one that reads a LiDAR, such as truncated_icosahedron: "),
-        ("env.lidar=mid360", "uavrl-sitl sends the data packets of a Velodyne VLP-16, and env.lidar=mid360 has none"),
+        ("env.lidar=mid360", "uavrl-sitl sends the data packets of a Velodyne VLP-16, and the LiDAR mid360 has none"),
         ("env.num_uavs=3", "env.num_uavs is set by the command itself"),
         ("pilot_takes_over=-1", "pilot_takes_over must be at least 0"),
         ("faults.lidar_silent=[3,1]", "faults.lidar_silent must be two times in s from 0, the earlier first"),

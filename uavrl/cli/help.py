@@ -39,7 +39,7 @@ EXAMPLES = {
 }
 MOST_USED = {
     "config": "run_dir resume seed device trainer.episodes trainer.steps env.num_uavs "
-    "env.world.obstacles algo.learning_starts algo.hidden buffer.capacity packages",
+    "env.world.obstacles algo.learning_starts packages",
     "evaluate": "run policy episodes suite valleys output seed checkpoint num_uavs",
     "replay": "run policy task tasks output checkpoint",
     "report": "runs output window threshold title",
