@@ -30,12 +30,12 @@ from tests.helpers.ports import free_ports
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.assemblers import make_assembler
-from uavrl_onboard.lidar.feeds import UdpScans
 from uavrl_onboard.lidar.ouster import OusterAssembler
 from uavrl_onboard.lidar.ouster_metadata import read_metadata
 from uavrl_onboard.lidar.pcap import write_pcap
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import ScanSource
+from uavrl_onboard.lidar.udp_scans import UdpScans
 
 need_sdk()
 
