@@ -13,6 +13,7 @@ from tests.helpers.commands import in_process
 from tests.helpers.folders import ROOT
 from uavrl.cli import export
 from uavrl.config import compose, validate
+from uavrl.envs import NavigationEnv
 from uavrl_onboard.perception.reductions import truncated_icosahedron
 
 PAGES = {page.stem: page for page in [*sorted((ROOT / "docs/howto").glob("*.md")), ROOT / "docs/lidar.md"]}
@@ -37,7 +38,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_each_page_with_python_is_run_here() -> None:
     assert {page for page in PAGES if blocks(page, "python")} == {
-        *("gpu", "guards", "lidar", "moving_obstacles", "onnx", "sensors", "vehicle")
+        *("gpu", "guards", "lidar", "moving_obstacles", "onnx", "sensors", "teachers", "vehicle")
     }
 
 
@@ -46,6 +47,14 @@ def test_a_point_cloud(run: Any) -> None:
     assert names["cells"].shape == (72,) and names["faces"].shape == (8, 32)
     np.testing.assert_allclose(names["faces"][7], truncated_icosahedron(names["points"]), atol=1e-6)
     assert names["transform"].in_keys == ["point_cloud"]
+
+
+def test_a_teacher_along_the_way(run: Any) -> None:
+    teacher = run("teachers")["AlongTheWay"]()
+    env = NavigationEnv(2, world={"obstacles": 0}, privileged=teacher.in_keys, blind=True, max_steps=400)
+    flown = env.rollout(400, teacher)
+    assert flown["next", "arrived"].any() and not flown["next", "collided"].any()
+    env.close()
 
 
 def test_a_sensor(run: Any) -> None:
