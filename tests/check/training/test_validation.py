@@ -105,7 +105,8 @@ def test_no_process_outlives_a_run_that_is_stopped(tmp_path: Path, number: signa
     finally:
         process.kill()
     assert process.returncode == (130 if number == signal.SIGINT else -9)
-    assert "Traceback" not in said and "leaked" not in said
+    if number == signal.SIGINT:  # nobody can clean up, or be silenced, after a SIGKILL
+        assert "Traceback" not in said and "leaked" not in said
     deadline = time.monotonic() + 60
     while any(Path(f"/proc/{child}").exists() for child in family):
         assert time.monotonic() < deadline, "a process stays"
