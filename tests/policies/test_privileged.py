@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
 import torch
 from tensordict import TensorDict
 
+from uavrl.config import compose
 from uavrl.envs.privileged import nearest_planes, planes_told
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram
 from uavrl.policies.privileged import CAUTION, HEADWAY, PrivilegedVFH
@@ -54,6 +56,12 @@ def test_it_evades_planes_as_vfh_evades_moving_objects() -> None:
     torch.testing.assert_close(PrivilegedVFH(**TOLD)(told)["action"], evading, atol=1e-4, rtol=0)
     alone = PrivilegedVFH(planes=False, **TOLD)(told)["action"]
     assert (alone - evading).abs().amax(-1).gt(0.1).float().mean() > 0.2
+
+
+def test_its_costs_are_those_of_vfh_headway() -> None:
+    written = compose("preset=dagger").demonstrator.costs
+    assert dataclasses.asdict(COST) == dict(written)
+    assert PrivilegedVFH(**TOLD).costs == COST
 
 
 def test_absent_planes_are_unknown() -> None:

@@ -69,14 +69,15 @@ class PrivilegedVFH(VectorFieldHistogram):
         told = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
         if costs is None and told == "proximity":
             costs = replace(COSTS[reduction, told], caution=CAUTION, headway=HEADWAY)
-        seen = (flight_level, radius, reduction, statistic, costs, last_action)
-        super().__init__(*seen, motion=None, grid=grid, max_speed=max_speed, airframe=airframe)
-        self.in_keys = [*("way" if key == "heading_deg" else key for key in self.in_keys)]
+        super().__init__(
+            flight_level, radius, reduction, statistic, costs, last_action, None, grid, max_speed, airframe
+        )
+        self.in_keys = ["way" if key == "heading_deg" else key for key in self.in_keys]
         self.in_keys += ["planes", "velocity", "attitude"] if planes else []
         self.evades = planes
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action`` as its base does, towards ``way`` instead of ``heading_deg``."""
+        """Writes ``action`` as its base does, with the direction of ``way`` as the heading."""
         ahead, left = tensordict["way"].unbind(-1)
         led = tensordict.copy().set("heading_deg", torch.rad2deg(torch.atan2(left, ahead))[..., None])
         return tensordict.set("action", super().forward(led)["action"])
