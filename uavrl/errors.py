@@ -12,6 +12,7 @@ __all__ = [
     "OtherFormat",
     "Stopped",
     "UavrlError",
+    "ValidationFailed",
     "did_you_mean",
     "extras",
     "missing_extra",
@@ -64,6 +65,10 @@ def extras() -> Iterator[None]:
 
 class FolderTaken(UavrlError):
     """The folder is somebody else's: another process trains in it, or it holds something already. It stays as it is."""
+
+
+class ValidationFailed(UavrlError):
+    """The policy could not be evaluated while it trains; what the run has learned is safe."""
 
 
 class FlyingEnded(UavrlError):

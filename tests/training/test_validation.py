@@ -135,7 +135,7 @@ def test_a_run_ends_once_its_policy_is_good_enough_and_stays_ended(
     looks = [(each["successes"], each["tasks"]) for each in summary["validations"]]
     assert summary["reached_success"] is True and summary["episodes"] < 300
     assert has_exceeded(0.5, looks) and not has_exceeded(0.5, looks[:-1])
-    assert "exceeds a success rate of 50 % in unseen valleys" in caplog.text
+    assert "has exceeded a success rate of 50 % in unseen valleys" in caplog.text
     again = train(config, tmp_path / "run", resume=True)
     assert again["episodes"] == summary["episodes"], "a run that has ended is not flown on"
     config.trainer.until_success = None

@@ -28,6 +28,7 @@ class _WithoutTargets(_Base):
     critics_may_differ: ClassVar[bool] = False
     has_targets: ClassVar[bool] = False
     if TYPE_CHECKING:
+        training: bool
         qvalue_network: TensorDictModule
         qvalue_network_params: TensorDictParams
 
@@ -35,11 +36,19 @@ class _WithoutTargets(_Base):
             """Values ``[K, *B]`` of K critics."""
             raise NotImplementedError
 
+    def __init__(
+        self,
+        actor_network: TensorDictModuleBase,
+        qvalue_network: TensorDictModule | Sequence[TensorDictModule],
+        **kwargs: Any,
+    ) -> None:
+        super().__init__(actor_network, qvalue_network, delay_actor=False, delay_qvalue=False, **kwargs)
+
     def _both_values(self, tensordict: TensorDictBase, following: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Values ``[K, *B]`` at states and at next states, the latter constant; running statistics move."""
+        """Values ``[K, *B]`` at states and at next states, the latter constant; in training mode, statistics move."""
         read = self.qvalue_network.in_keys
         both = torch.cat([tensordict.select(*read), following.select(*read)])
-        with in_mode(self.qvalue_network, training=True):
+        with in_mode(self.qvalue_network, training=self.training):
             values = self._values(both, self.qvalue_network_params)
         value, next_value = values.chunk(2, 1)
         return value, next_value.detach()
@@ -74,14 +83,6 @@ class CrossQLoss(_WithoutTargets, SACLoss):
         >>> loss.actor_loss(TensorDict({"observation": torch.zeros(5, 6)}, [5]))[0].shape
         torch.Size([])
     """
-
-    def __init__(
-        self,
-        actor_network: TensorDictModuleBase,
-        qvalue_network: TensorDictModule | Sequence[TensorDictModule],
-        **kwargs: Any,
-    ) -> None:
-        super().__init__(actor_network, qvalue_network, delay_qvalue=False, **kwargs)
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The error of all critics against ``r + γ (1 - d) (min_j Q_j(s', a') - α log π(a'|s'))``, reduced.
@@ -118,14 +119,6 @@ class CrossQTD3Loss(_WithoutTargets, TD3Loss):
         >>> loss.actor_loss(TensorDict({"observation": torch.zeros(5, 6)}, [5]))[0].shape
         torch.Size([])
     """
-
-    def __init__(
-        self,
-        actor_network: TensorDictModule,
-        qvalue_network: TensorDictModule | Sequence[TensorDictModule],
-        **kwargs: Any,
-    ) -> None:
-        super().__init__(actor_network, qvalue_network, delay_actor=False, delay_qvalue=False, **kwargs)
 
     def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The error of all critics against ``r + γ (1 - d) min_j Q_j(s', a')``, reduced.

@@ -19,6 +19,10 @@ class BatchRenorm(nn.Module):
     After ``warmup`` batches they are corrected towards the running statistics, within bounds. In evaluation the running
     statistics normalise.
 
+    :class:`torchrl.modules.BatchRenorm1d` does the same until twice its warm-up. After that, TorchRL 0.14 multiplies
+    the correction by 2, 3 and so on, because its count of batches is not clamped. This class also evaluates K stacked
+    layers at once.
+
     Args:
         features: width of the last dimension.
         momentum: share of a batch in the running statistics.

@@ -16,7 +16,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointRotation
 from uavrl.buffers import BackwardReward
 from uavrl.collectors.base import EpisodeCollector
 from uavrl.collectors.stall_notice import StallNotice
-from uavrl.errors import FlyingEnded, UavrlError
+from uavrl.errors import FlyingEnded, UavrlError, ValidationFailed
 from uavrl.losses import ActorCriticLoss
 from uavrl.runs.checkpoint import BufferState, RandomState
 from uavrl.runs.episodes import EpisodeLog, split_episodes, summarize
@@ -141,10 +141,10 @@ class EpisodeTrainer:
 
     @contextmanager
     def _kept(self) -> Iterator[None]:
-        """Saves what was learned when the collector's processes have died."""
+        """Saves what was learned when processes that fly have died, or a validation has failed."""
         try:
             yield
-        except FlyingEnded:
+        except (FlyingEnded, ValidationFailed):
             if self.collected_frames > self._last_save:
                 self._last_save = self.collected_frames
                 self._write()
@@ -180,8 +180,8 @@ class EpisodeTrainer:
         self.log.add({"success_unseen": found.rate}, found.steps)
         if self.reached:
             log.info(
-                "The policy exceeds a success rate of %g %% in unseen valleys (probability of a wrong verdict: %g), "
-                "and the run ends. The last validation: %s.",
+                "The policy has exceeded a success rate of %g %% in unseen valleys in at least one validation, so the "
+                "run ends. If it never had, it would end so with a probability of at most %g. The last validation: %s.",
                 100 * (self.until_success or 0),
                 validation.error,
                 found,

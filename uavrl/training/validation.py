@@ -16,13 +16,14 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, multiprocessing
 from torchrl.envs import EnvBase
 
-from uavrl.errors import FlyingEnded, UavrlError
+from uavrl.errors import FlyingEnded, ValidationFailed
 from uavrl.evaluation.rollout import episodes_as_they_end
 from uavrl.evaluation.sequential import ERROR, has_exceeded
 from uavrl.runs.interrupts import interrupts_held_back
 from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.ranges import Count, Rule
 
+LISTENS = "the process listens"
 Weights = dict[str, Tensor]
 Seeds = Annotated[tuple[int, ...], Rule("a list of seeds from 0", lambda seeds: len(seeds) > 0 and min(seeds) >= 0)]
 
@@ -131,7 +132,7 @@ class Validation:
         self._began = steps
 
     def reached(self, rate: float) -> bool:
-        """Whether the policy exceeds this success rate, by a sequential test of all validations."""
+        """Whether the policy has exceeded this success rate, by a sequential test of all validations."""
         return has_exceeded(rate, [(each.successes, each.tasks) for each in self.found], self.error)
 
     def close(self) -> None:
@@ -176,7 +177,7 @@ class ProcessFlier:
 
     Raises:
         FlyingEnded: from :meth:`begin` and :meth:`successes`, when that process has died.
-        UavrlError: from :meth:`successes`, when it could not fly.
+        ValidationFailed: from :meth:`successes`, when it could not fly.
     """
 
     def __init__(self, new_flight: Callable[[], Flight], threads: int) -> None:
@@ -185,6 +186,8 @@ class ProcessFlier:
         arguments = (new_flight, threads, self._theirs)
         self._process = spawn.Process(target=_serve, args=arguments, daemon=True, name="validation")
         self._end = Finalize(self, _end, (self._process, self._connection), exitpriority=0)
+        self._asked: tuple[dict[str, np.ndarray], int, int] | None = None  # not sent before the process listens
+        self._listens = False
 
     def begin(self, weights: Weights, tasks: int, seed: int) -> None:
         """Has them rolled out."""
@@ -192,11 +195,17 @@ class ProcessFlier:
             with interrupts_held_back():  # inherited: this process alone ends it
                 self._process.start()
             self._theirs.close()
-        arrays = {name: value.numpy() for name, value in weights.items()}
-        try:
-            self._connection.send((arrays, tasks, seed))
-        except OSError as error:
-            raise self._died() from error
+        self._asked = {name: value.numpy() for name, value in weights.items()}, tasks, seed
+        self._send()
+
+    def _send(self) -> None:
+        """Sends what is asked for once the process listens: before that, the pipe would hold the sender up."""
+        if self._listens and self._asked is not None:
+            try:
+                self._connection.send(self._asked)
+            except OSError as error:
+                raise self._died() from error
+            self._asked = None
 
     def successes(self) -> int | None:
         """How many succeeded, if all have ended."""
@@ -204,8 +213,15 @@ class ProcessFlier:
             answer = self._connection.recv() if self._connection.poll() else None
         except (EOFError, OSError) as error:
             raise self._died() from error
+        if answer == LISTENS:
+            self._listens = True
+            self._send()
+            return None
         if isinstance(answer, str):
-            raise UavrlError(f"The validation failed ({answer}): correct that, or leave it out by validation=none.")
+            raise ValidationFailed(
+                f"The validation failed ({answer}), and the run has ended with a checkpoint: correct that, or resume "
+                "it with validation=none."
+            )
         return answer
 
     def close(self) -> None:
@@ -230,6 +246,7 @@ def _serve(new_flight: Callable[[], Flight], threads: int, connection: Connectio
     torch.set_flush_denormal(True)
     flight: Flight | None = None
     with suppress(EOFError, OSError):  # that end is closed, or its process has died
+        connection.send(LISTENS)
         while True:
             arrays, tasks, seed = connection.recv()
             try:

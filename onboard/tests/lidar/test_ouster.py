@@ -155,7 +155,16 @@ def test_a_sensor_that_starts_anew_and_a_capture_that_repeats_are_read_on(assemb
 
 def test_a_slow_turn_is_left_out(assembler: OusterAssembler) -> None:
     slow = turn(3000, 1, clock=1.0)[:16] + turn(3000, 1, clock=1.4)[16:]
-    assert len(pushed(assembler, slow + turn(3000, 2, clock=1.6))) == 1 and assembler.skipped.incomplete == 1
+    assert len(pushed(assembler, slow + turn(3000, 2, clock=1.6))) == 1
+    assert assembler.skipped.sentences() == ["1 turn with a gap or without an end"]
+
+
+def test_what_was_seen_before_a_silence_is_not_given_out_after_it(assembler: OusterAssembler) -> None:
+    """The stamp of a scan is that of its last packet: an old turn would pass for a new one."""
+    before, after = turn(3000, 1, clock=1.0)[:-1], turn(9000, 10, clock=1.9)
+    assert pushed(assembler, [*before, after[0]]) == [] and assembler.skipped.incomplete == 1
+    (scan,) = pushed(assembler, after[1:])
+    assert np.linalg.norm(scan.points, axis=-1).min() > 8.9
 
 
 def test_what_is_no_lidar_packet_is_counted(assembler: OusterAssembler) -> None:
@@ -271,7 +280,7 @@ def test_archives_and_texts_in_metadata_are_not_read(tmp_path: Path) -> None:
 
 def test_a_narrow_azimuth_window_is_refused_and_a_wide_one_is_whole(tmp_path: Path) -> None:
     path = write_metadata(tmp_path, metadata_of(column_window=[100, 400]))
-    with pytest.raises(UavrlError, match=r"azimuth window covers 212° alone, .* set its azimuth_window to \[0, 36"):
+    with pytest.raises(UavrlError, match=r"covers only 212°, .* set the sensor.s azimuth_window to \[0, 36"):
         read_metadata(path)
     wide = OusterAssembler(write_metadata(tmp_path, metadata_of(column_window=[480, 447])))  # all but 32 columns
     packets = turn(3000, 1)
@@ -280,7 +289,7 @@ def test_a_narrow_azimuth_window_is_refused_and_a_wide_one_is_whole(tmp_path: Pa
 
 
 def test_model_and_metadata_exclude_each_other(tmp_path: Path) -> None:
-    with pytest.raises(UavrlError, match="leave out one or the other"):
+    with pytest.raises(UavrlError, match="drop metadata, or drop model and product"):
         make_assembler("VLP16", None, write_metadata(tmp_path))
     with pytest.raises(UavrlError, match="or give metadata=FILE for an Ouster"):
         make_assembler("OS1")

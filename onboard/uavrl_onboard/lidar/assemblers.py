@@ -19,7 +19,7 @@ def make_assembler(model: str | None, product: int | None = None, metadata: str 
         return ScanAssembler(model, product)
     if model is not None or product is not None:
         raise UavrlError(
-            "metadata=FILE says all of an Ouster, and model and product are those of a Velodyne: leave out one or the "
-            "other."
+            "metadata=FILE describes an Ouster, and model and product describe a Velodyne: drop metadata, or drop "
+            "model and product."
         )
     return OusterAssembler(metadata)

@@ -45,6 +45,7 @@ class OusterAssembler:
         self._beams, self._columns = self.format.directions.shape[:2]
         self._frame: int | None = None  # number of the newest turn
         self._ended = True  # whether its scan is out, or given up
+        self._given_up = False
         self._first = True  # whether it may have begun before we listened
         self._begun = 0  # ns of the sensor's clock
         self._count = 0  # of its packets
@@ -80,6 +81,8 @@ class OusterAssembler:
         if self._frame is None or abs(after) > _RESTART or self._late > self._whole_turn:
             self._give_up()
             self._begin(number, time, first=True)
+        elif after == 0 and self._given_up:
+            return None
         elif after < 0 or (after == 0 and self._ended):
             self._late += 1
             self.skipped.late += 1
@@ -87,6 +90,8 @@ class OusterAssembler:
             return None
         elif after > 0:
             self.skipped.lost += (after - 1) * self._whole_turn
+            if abs(time - self._begun) > LONGEST_TURN * 1000:  # after a silence, what the turn holds is old
+                self._give_up()
             closed = self._close(stamp)
             self._begin(number, time)
         elif abs(time - self._begun) > LONGEST_TURN * 1000:
@@ -146,6 +151,7 @@ class OusterAssembler:
 
     def _begin(self, number: int, time: int, first: bool = False) -> None:
         self._frame, self._begun, self._first, self._ended = number, time, first, False
+        self._given_up = False
         self._count = 0
         self._seen[:] = False
         self._ranges[:] = 0
@@ -159,7 +165,7 @@ class OusterAssembler:
 
     def _give_up(self) -> None:
         self.skipped.incomplete += not self._ended
-        self._ended = True
+        self._ended = self._given_up = True
 
     def _close(self, stamp: float) -> Scan | None:
         """The scan of the open turn, if it has no wide gap."""

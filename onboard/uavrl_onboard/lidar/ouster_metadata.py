@@ -75,9 +75,8 @@ def read_metadata(path: Path) -> OusterFormat:
     window = (np.arange(columns) - first) % columns <= (last - first) % columns
     if 360.0 * (~window).mean() > UNSEEN:
         raise UavrlError(
-            f"{path} says that the sensor's azimuth window covers {360 * window.mean():.0f}° alone, and a policy takes "
-            "a sector without returns for free space: set its azimuth_window to [0, 360000], and save its metadata "
-            "anew."
+            f"The azimuth window in {path} covers only {360 * window.mean():.0f}°, and a policy treats a sector "
+            "without returns as free space: set the sensor's azimuth_window to [0, 360000] and save its metadata again."
         )
     packed = directions.astype(np.float32), origins.astype(np.float32), window
     name, port = str(info.prod_line) or "Ouster", int(info.config.udp_port_lidar or _PORT)

@@ -16,7 +16,7 @@ import torch
 
 from tests.helpers.runs import SMALL, small_config
 from uavrl.config import validate
-from uavrl.errors import FlyingEnded, UavrlError
+from uavrl.errors import FlyingEnded, ValidationFailed
 from uavrl.losses.networks import NetworkSizes, make_actor
 from uavrl.training.build import make_flight
 from uavrl.training.run import create_run, train
@@ -42,6 +42,10 @@ def broken() -> Flight:
     raise ValueError("the valley\nis full")
 
 
+def unusable(*_: object) -> Flight:
+    return broken()
+
+
 def test_a_process_of_its_own_counts_what_this_one_counts_and_ends(tmp_path: Path) -> None:
     new_flight, before = flight(tmp_path), active_children()
     torch.manual_seed(3)
@@ -49,6 +53,11 @@ def test_a_process_of_its_own_counts_what_this_one_counts_and_ends(tmp_path: Pat
     here, elsewhere = HereFlier(new_flight), ProcessFlier(new_flight, threads=1)
     state = torch.get_rng_state()
     try:
+        began = time.monotonic()
+        elsewhere.begin({**weights, "large": torch.zeros(10**6)}, 12, 0)
+        assert time.monotonic() - began < 2.0, "it would have waited until the process listens"
+        elsewhere.close()
+        elsewhere = ProcessFlier(new_flight, threads=1)
         for seed in (1, 2):
             here.begin(weights, 12, seed)
             elsewhere.begin(weights, 12, seed)
@@ -65,7 +74,7 @@ def test_a_process_of_its_own_counts_what_this_one_counts_and_ends(tmp_path: Pat
 def test_what_it_cannot_fly_and_its_death_are_told_in_a_sentence() -> None:
     flier = ProcessFlier(broken, threads=1)
     flier.begin({}, 1, 0)
-    with pytest.raises(UavrlError, match=r"validation failed \(ValueError: the valley is full\): correct that, or"):
+    with pytest.raises(ValidationFailed, match=r"validation failed \(ValueError: the valley is full\), and"):
         answer(flier)
     os.kill(flier._process.pid or 0, signal.SIGKILL)
     with pytest.raises(FlyingEnded, match=r"the validation, exit code -9"):
@@ -84,6 +93,17 @@ def test_a_run_with_another_process_is_validated_and_resumed(tmp_path: Path) -> 
     config.trainer.steps = 6000
     second = train(config, tmp_path / "run", resume=True)["validations"]
     assert second[: len(first)] == first and active_children() == before
+
+
+def test_a_run_whose_validation_fails_keeps_what_it_has_learned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("uavrl.training.build.make_flight", unusable)
+    config = small_config(tmp_path / "run", "collector=async", *UNSEEN, "trainer.episodes=5000")
+    with pytest.raises(ValidationFailed, match="the valley is full"):
+        train(config, create_run(config))
+    assert list((tmp_path / "run").rglob("*.ckpt")) or any((tmp_path / "run" / "checkpoints").iterdir())
+    assert active_children() == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
