@@ -98,3 +98,14 @@ def test_looks_from_before_the_policy_was_good_cost_some_tasks_but_do_not_count_
     alone = next(count for count in range(100) if has_exceeded(0.9, [(20, 20)] * count))
     assert alone < needed <= alone + 3
     assert not has_exceeded(0.9, [])
+
+
+@pytest.mark.parametrize(("worse", "tasks"), [(0, (60, 100)), (3, (80, 140)), (10, (100, 180))])
+def test_a_policy_that_always_succeeds_needs_more_tasks_the_later_it_became_good(
+    worse: int, tasks: tuple[int, int]
+) -> None:
+    for rate, needed in zip((0.9, 0.95), tasks, strict=True):
+        looks = [(12, 20)] * worse
+        while not has_exceeded(rate, looks):
+            looks.append((20, 20))
+        assert 20 * (len(looks) - worse) == needed

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from uavrl.config import compose
-from uavrl.envs.privileged import nearest_planes, planes_told
+from uavrl.envs.privileged import as_moving_objects, nearest_planes
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram
 from uavrl.policies.privileged import CAUTION, HEADWAY, PrivilegedVFH
 
@@ -51,7 +51,7 @@ def test_it_evades_planes_as_vfh_evades_moving_objects() -> None:
     heading = torch.deg2rad(state["heading_deg"])
     told = state.copy().set("way", torch.cat([heading.cos(), heading.sin()], -1)).exclude("heading_deg")
     told["planes"] = torch.from_numpy(known).float()
-    seen = state.copy().set("moving_objects", torch.from_numpy(planes_told(known)).float())
+    seen = state.copy().set("moving_objects", torch.from_numpy(as_moving_objects(known)).float())
     evading = VectorFieldHistogram(costs=COST, motion=12.0, **TOLD)(seen)["action"]
     torch.testing.assert_close(PrivilegedVFH(**TOLD)(told)["action"], evading, atol=1e-4, rtol=0)
     alone = PrivilegedVFH(planes=False, **TOLD)(told)["action"]
@@ -65,7 +65,7 @@ def test_its_costs_are_those_of_vfh_headway() -> None:
 
 
 def test_absent_planes_are_unknown() -> None:
-    told = planes_told(nearest_planes(np.zeros((1, 3)), np.zeros(1), np.array([[50.0, 0, 0]]), np.ones((1, 3))))
+    told = as_moving_objects(nearest_planes(np.zeros((1, 3)), np.zeros(1), np.array([[50.0, 0, 0]]), np.ones((1, 3))))
     assert not told.any()
 
 

@@ -17,8 +17,8 @@ class Ways(NamedTuple):
     """The shortest ways from all cells to one, of cells in the order of ``ravel``.
 
     Attributes:
-        lengths: Of each way, in m where no cell costs more than its length; infinite where there is none.
-        ahead: Of each cell the next one on its way, negative for the last cell and where there is no way.
+        lengths: The cost of each path, which is its length in m unless cells cost more; infinite if there is no path.
+        ahead: The next cell on the path from each cell; negative at the last cell and if there is no path.
     """
 
     lengths: np.ndarray
@@ -29,9 +29,9 @@ class LevelMap:
     """Where a ball of ``uav_radius`` fits in one place at its flight level, on the grid of its map.
 
     Args:
-        place: Whose cells they are.
+        place: The place to map.
         comfort: Distance in m from where the ball does not fit within which a cell costs more.
-        crowded: How many times more it costs there at most.
+        crowded: Additional cost of a cell next to that, as a multiple of its length.
 
     Attributes:
         width: Width of the free space at each cell, ``[X, Y]`` in m: twice the distance from the cell to where the ball

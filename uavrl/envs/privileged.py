@@ -1,4 +1,4 @@
-"""What only a simulator knows: quantities for critics and demonstrators, which no policy that learns reads."""
+"""Quantities that only the simulator can provide, for critics and demonstrators."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FARTHEST = 5.0  # m, up to which the simulation measures distances
 
 @dataclass(frozen=True)
 class Quantity:
-    """One of them.
+    """One privileged quantity.
 
     Attributes:
         signs: of its numbers in a mirror at the vehicle's side; there are as many.
@@ -40,8 +40,8 @@ QUANTITIES: Mapping[str, Quantity] = {
 }
 """``clearance``: m from the hull to the nearest thing, at most 5. ``planes``: of each of the three nearest within 20 m,
 its direction times ``1 - distance / 20``, and its velocity over 4 m/s; zeros for an absent one. ``wind``: m/s, without
-gusts. ``way``: the unit vector, forward and left, to the point 2 m ahead on the shortest way to the goal around what
-stands, at the flight level. The axes are forward, left and up of the vehicle, turned by its yaw alone."""
+gusts. ``way``: the unit vector, forward and left, to the point 2 to 2.8 m ahead on the shortest path to the goal around
+static obstacles, at the flight level. The axes are forward, left and up of the vehicle, rotated by its yaw only."""
 
 
 def privileged(
@@ -60,12 +60,12 @@ def privileged(
     return found
 
 
-def planes_told(told: np.ndarray) -> np.ndarray:
+def as_moving_objects(told: np.ndarray) -> np.ndarray:
     """Return planes as :class:`uavrl.transforms.MotionSight` reports moving objects, ``[N, 21]``, of ``planes``.
 
     Examples:
         >>> told = nearest_planes(np.zeros((1, 3)), np.zeros(1), np.array([[0.0, 10.0, 0.0]]), np.array([[2.0, 0, 0]]))
-        >>> planes_told(told)[0, :7].tolist()
+        >>> as_moving_objects(told)[0, :7].tolist()
         [0.0, 10.0, 0.0, 2.0, 0.0, 0.0, 1.0]
     """
     each = told.reshape(len(told), -1, 6)
@@ -76,7 +76,7 @@ def planes_told(told: np.ndarray) -> np.ndarray:
 
 
 def nearest_planes(position: np.ndarray, yaw: np.ndarray, planes: np.ndarray, velocities: np.ndarray) -> np.ndarray:
-    """Return what vehicles ``[N, 3]`` have of the planes ``[K, 3]`` nearest to them: ``[N, 18]``.
+    """Return the directions and velocities of the planes ``[K, 3]`` nearest to vehicles ``[N, 3]``: ``[N, 18]``.
 
     Examples:
         >>> told = nearest_planes(np.zeros((1, 3)), np.zeros(1), np.array([[0.0, 10.0, 0.0]]), np.array([[2.0, 0, 0]]))

@@ -1,4 +1,4 @@
-"""A demonstrator that knows what only a simulator knows: the map, and where the planes are."""
+"""A demonstrator that uses the true map and the true positions of the planes."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from uavrl.envs.limits import OrMapping
-from uavrl.envs.privileged import planes_told
+from uavrl.envs.privileged import as_moving_objects
 from uavrl.envs.quadrotor import Airframe
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
 from uavrl.transforms.numpy_boundary import call_numpy
@@ -22,11 +22,11 @@ CAUTION, HEADWAY = 0.6, 0.7  # of vfh_headway (conf/demonstrator), where cells t
 
 
 class PrivilegedVFH(VectorFieldHistogram):
-    """A vector field histogram that heads along the shortest way, which it is told, instead of towards the goal.
+    """A vector field histogram that heads along the shortest path to the goal on the true map.
 
-    So it leaves dead ends that no scan shows. With ``planes`` it also keeps out of the ways of the planes that it is
-    told of, as if they flew straight on. It is a teacher for policies that see only scans, after Loquercio et al.
-    (2021), Learning high-speed flight in the wild (Science Robotics 6), whose teacher plans on the true map.
+    It therefore leaves dead ends. With ``planes`` it also avoids the planes by their true positions, and assumes that
+    they fly straight on. It is a teacher for policies without the map, after Loquercio et al. (2021), Learning
+    high-speed flight in the wild (Science Robotics 6), whose teacher plans on the true map.
 
     The environment emits what it reads (``way`` and ``planes`` of :data:`uavrl.envs.privileged.QUANTITIES`).
 
@@ -34,13 +34,13 @@ class PrivilegedVFH(VectorFieldHistogram):
         flight_level: altitude to hold where nothing is in the way, within 1 m, m.
         radius: of the reduction in m.
         reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
-        statistic: what a cell tells, likewise; None for the reduction's default.
+        statistic: value of a cell, likewise; None for the reduction's default.
         costs: None for those of :class:`VectorFieldHistogram`, and a headway where cells tell distances.
         last_action: whether the observation ends with the last action, likewise.
-        planes: whether it is told of planes.
+        planes: whether it avoids planes by their true positions.
         max_speed: limit of each component of the velocity, m/s.
         grid: where the cells of a range image are, likewise.
-        airframe: whose hull it reckons with; None for the default one.
+        airframe: whose hull it assumes; None for the default one.
 
     Examples:
         A dead end lies before the goal, and the way leads to the left:
@@ -84,5 +84,5 @@ class PrivilegedVFH(VectorFieldHistogram):
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Where planes will be if they fly straight on, and which there are."""
-        ways, known = call_numpy(straight_on, call_numpy(planes_told, tensordict["planes"]))
+        ways, known = call_numpy(straight_on, call_numpy(as_moving_objects, tensordict["planes"]))
         return ways, known

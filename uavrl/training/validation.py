@@ -1,4 +1,4 @@
-"""The policy's success in unseen valleys, measured now and then while it trains."""
+"""The policy's success in unseen valleys, measured at intervals while it trains."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Validated:
         success 95.0 % of 20 tasks
     """
 
-    steps: int  #: of training that the policy had behind it
+    steps: int  #: training steps of the policy
     tasks: int
     successes: int
 
@@ -74,18 +74,18 @@ class Flier(Protocol):
         """How many of the tasks succeeded; None before all have ended."""
 
     def close(self) -> None:
-        """Ends what goes on."""
+        """Stop a rollout in progress."""
 
 
 class Validation:
     """Evaluates the policy every ``interval`` steps of training, each time in ``tasks`` new tasks.
 
     A run that collects in other processes has one more for this, and goes on learning meanwhile. One that collects in
-    its own process waits: its validations come at the same steps when it is repeated, and change nothing of what is
-    learned. Once the last of them exceeds the rate that ends the run, the next one follows at once.
+    its own process waits: its validations come at the same steps when it is repeated, and do not affect the training.
+    Once the last of them exceeds the rate that ends the run, the next one follows at once.
 
     Args:
-        new_flier: makes what rolls out the tasks in valleys of these seeds.
+        new_flier: takes seeds of valleys and returns the :class:`Flier` that rolls out tasks there.
         policy: whose weights are validated.
         seed: of the run, an integer from 0.
         interval: environment steps of training from one validation to the next.
@@ -157,13 +157,13 @@ class HereFlier:
         self._successes: int | None = None
 
     def begin(self, weights: Weights, tasks: int, seed: int) -> None:
-        """Rolls them out."""
+        """Roll out the tasks of a seed."""
         with torch.random.fork_rng(devices=[]):
             self._flight = self._flight or self._new_flight()
             self._successes = sum(self._flight.outcomes(weights, tasks, seed))
 
     def successes(self) -> int | None:
-        """How many succeeded."""
+        """Return the number of successes."""
         return self._successes
 
     def close(self) -> None:
@@ -190,7 +190,7 @@ class ProcessFlier:
         self._listens = False
 
     def begin(self, weights: Weights, tasks: int, seed: int) -> None:
-        """Has them rolled out."""
+        """Roll out the tasks of a seed in the other process."""
         if self._process.pid is None:
             with interrupts_held_back():  # inherited: this process alone ends it
                 self._process.start()
@@ -208,7 +208,7 @@ class ProcessFlier:
             self._asked = None
 
     def successes(self) -> int | None:
-        """How many succeeded, if all have ended."""
+        """Return the number of successes once all tasks have ended."""
         try:
             answer = self._connection.recv() if self._connection.poll() else None
         except (EOFError, OSError) as error:
@@ -241,7 +241,7 @@ def _end(process: Any, connection: Connection) -> None:
 
 
 def _serve(new_flight: Callable[[], Flight], threads: int, connection: Connection) -> None:
-    """Rolls out what is sent until the other end is closed, which it looks for after each task."""
+    """Roll out the requested tasks until the connection is closed, which is checked after each task."""
     torch.set_num_threads(threads)
     torch.set_flush_denormal(True)
     flight: Flight | None = None
