@@ -38,6 +38,7 @@ class TrainerConfig:
     window: Count = 500
     checkpoint_interval: Count = 20_000
     keep_checkpoints: Count = 2
+    lidar_stride: Annotated[int, Field(ge=1, le=50)] = 1
     threads: Threads = 1
     execution: ExecutionChoice = "auto"
     matmul: MatmulChoice = "auto"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -22,6 +22,7 @@ __all__ = ["SENSORS", "LidarSensor", "SensorRays", "lidar_sensor"]
 LEAST_RATE = 10.0  # Hz, at which policies act: a slower sensor would show them one scan twice
 MOST_RAYS = 300_000  # of a scan
 MOST_SCANS = 200  # of a pattern
+MOST_APART = 50  # azimuth steps from one that is fired to the next
 _LARGEST_FILE = 2**28  # bytes
 
 
@@ -51,6 +52,8 @@ class LidarSensor:
         max_range: Farthest range in m.
         blind_distance: Shortest range in m.
         range_noise: Standard deviation of the range error in m.
+        stride: Only every so many azimuth steps are fired, others in each of the scans that follow each other, so that
+            all have been fired after so many scans. A sensor without steps fires every so many rays.
         pattern: How the rays are made; own sensors have a grid.
 
     Raises:
@@ -70,6 +73,7 @@ class LidarSensor:
     max_range: float = 100.0
     blind_distance: float = 0.0
     range_noise: float = 0.0
+    stride: int = 1
     pattern: Literal["grid", "vlp16", "rosette", "camera"] = "grid"
 
     def __post_init__(self) -> None:
@@ -83,6 +87,9 @@ class LidarSensor:
             "max_range must be above 0 and at most 1000 m": 0 < self.max_range <= 1000,
             "blind_distance must be 0 or more, and below max_range": 0 <= self.blind_distance < self.max_range,
             "range_noise must be in [0, 100] m": 0 <= self.range_noise <= 100,
+            f"stride must be a whole number from 1 to {MOST_APART}": (
+                isinstance(self.stride, int) and not isinstance(self.stride, bool) and 1 <= self.stride <= MOST_APART
+            ),
             "azimuth must be two angles in degrees, the right one first, for example [-45, 45]": (
                 -180 <= right < left <= 180
             ),
@@ -255,6 +262,27 @@ def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
 @lru_cache(maxsize=16)
 def rays_of(sensor: LidarSensor) -> SensorRays:
     """Return the rays of a sensor."""
+    rays = _all_rays(sensor) if sensor.stride == 1 else _in_turn(_all_rays(replace(sensor, stride=1)), sensor.stride)
+    for array in rays:
+        array.setflags(write=False)
+    return rays
+
+
+def _in_turn(rays: SensorRays, every: int) -> SensorRays:
+    """Fire every so many groups of rays of one azimuth, and the next ones in the next scan.
+
+    Where the groups cannot be divided evenly, the last few of them are never fired.
+    """
+    scans, groups = rays.azimuths.shape
+    count = groups // every
+    parts = rays.directions.reshape(scans, groups, -1, 3)[:, : count * every].reshape(scans, count, every, -1, 3)
+    directions = np.moveaxis(parts, 2, 1).reshape(scans * every, -1, 3)
+    azimuths = np.moveaxis(rays.azimuths[:, : count * every].reshape(scans, count, every), 2, 1)
+    times = rays.times.reshape(groups, -1)[: count * every : every].ravel()
+    return SensorRays(np.ascontiguousarray(directions), times, azimuths.reshape(scans * every, count))
+
+
+def _all_rays(sensor: LidarSensor) -> SensorRays:
     if sensor.pattern == "vlp16":
         rays = SensorRays(firing_directions()[None], FIRING_TIMES, np.arange(AZIMUTH_STEPS)[None] * AZIMUTH_STEP)
     elif sensor.pattern == "rosette":
@@ -265,8 +293,6 @@ def rays_of(sensor: LidarSensor) -> SensorRays:
         rays = _timed(_read(sensor.name, Path(sensor.directions)), 1.0 / sensor.rate)
     else:
         rays = _grid(sensor)
-    for array in rays:
-        array.setflags(write=False)
     return rays
 
 

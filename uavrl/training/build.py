@@ -264,7 +264,7 @@ def prepare_valleys(settings: TrainConfig) -> None:
 
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     """The environment of a run; a scripted controller acts in it first where ``demonstrator`` names one."""
-    parts, packages = (settings.env, settings.perception, settings.reward), settings.packages
+    parts, packages = (settings.env, _with_stride(settings), settings.reward), settings.packages
     callable_type: Any = Callable
     acts = build(settings.demonstrator, callable_type, packages=packages)
     carried: dict[str, Any] = {
@@ -281,6 +281,16 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions))
     env.noise = make_noise(settings, sizes, torch.device("cpu"))
     return env
+
+
+def _with_stride(settings: TrainConfig) -> Part:
+    """The perception of a training, whose LiDAR may fire fewer rays than that of an evaluation."""
+    stride, lidar = settings.trainer.lidar_stride, settings.perception.get("lidar")
+    require(stride == 1 or lidar is not None, "trainer.lidar_stride", "1 with a perception without a LiDAR", stride)
+    if stride == 1 or lidar is None:
+        return settings.perception
+    fewer = replace(lidar.device, stride=stride * lidar.device.stride)
+    return Part({**settings.perception, "lidar": replace(lidar, sensor=fewer)})
 
 
 def make_backward_reward(settings: TrainConfig, sizes: NetworkSizes, kept: Path) -> BackwardReward | None:
