@@ -6,7 +6,6 @@ from functools import reduce
 
 import numpy as np
 
-from uavrl.envs.mesh import cut_up, lengths
 from uavrl.envs.sensors import LidarSensor
 from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, LASER_ELEVATIONS
 from uavrl_onboard.mesh import Mesh
@@ -14,6 +13,7 @@ from uavrl_onboard.mesh import Mesh
 __all__ = ["RayCuller"]
 
 _SPHERE = 0.27  # m: triangles that need a larger bounding sphere are cut up
+_CHUNK = 8192  # triangles that are cut up together: they fit into a processor's cache
 _BAND = 20.0  # m, along y: a vehicle looks at the spheres of one band or two
 _NONE = np.empty(0, np.int64)
 
@@ -31,13 +31,12 @@ class RayCuller:
     _CELL = math.radians(1.5)  # of a sensor without such a grid
 
     def __init__(self, mesh: Mesh, max_range: float, sensor: LidarSensor) -> None:
-        corners = mesh.vertices[mesh.faces].astype(np.float64)
-        centres, radii = _spheres(cut_up(corners, lambda pieces: _spheres(pieces)[1] <= _SPHERE))
-        bands = np.floor(centres[:, 1] / _BAND).astype(np.int64)
-        order = np.lexsort((centres[:, 0], bands))
-        # [3, S], by band and then by x, so that a range of x in a band is a slice
-        self._centres = np.ascontiguousarray(centres[order].T, dtype=np.float32)
-        self._bands = {int(b): slice(*np.searchsorted(bands[order], [b, b + 1])) for b in np.unique(bands)}
+        centres, radii = _spheres_around(mesh)
+        bands = np.floor(centres[1] / _BAND)
+        wide = 2.0 * np.abs(centres[0]).max(initial=1.0)
+        order = np.argsort(bands * wide + centres[0])  # by band and then by x, so that a range of x in a band is a slice
+        self._centres, bands = np.ascontiguousarray(centres[:, order], dtype=np.float32), bands[order]  # [3, S]
+        self._bands = {int(b): slice(*np.searchsorted(bands, [b, b + 1])) for b in np.unique(bands)}
         margin = max(1e-4, 1e-6 * float(np.abs(centres).max(initial=0.0)))  # float32 rounding stays within
         self._radii = (radii[order] * 1.001 + margin).astype(np.float32)
         window = max_range + self._radii.max(initial=0.0)
@@ -153,8 +152,41 @@ class RayCuller:
         return steps.reshape(num, self._bins, columns)[:, :, :-1].cumsum(axis=2).cumsum(axis=1) > 0
 
 
-def _spheres(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres ``[T, 3]`` and radii ``[T]`` of spheres around triangles ``[T, 3, 3]``."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    middle = (np.minimum(np.minimum(a, b), c) + np.maximum(np.maximum(a, b), c)) / 2.0
-    return middle, reduce(np.maximum, (lengths(corner - middle) for corner in (a, b, c)))
+def _spheres_around(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Centres ``float64 [3, S]`` and radii ``[S]`` of spheres that cover a mesh; no radius exceeds ``_SPHERE``."""
+    centres, radii = [np.empty((3, 0))], [np.empty(0, np.float32)]
+    for first in range(0, len(mesh.faces), _CHUNK):
+        corners = mesh.vertices[mesh.faces[first : first + _CHUNK]].astype(np.float64)
+        middle = corners.mean(axis=(0, 1))
+        for centre, radius in _cut_spheres((corners - middle).astype(np.float32)):
+            centres.append(centre + middle[:, None])
+            radii.append(radius)
+    return np.concatenate(centres, axis=1), np.concatenate(radii)
+
+
+def _cut_spheres(corners: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Cuts triangles ``[T, 3, 3]`` in two at the middle of their longest edge until small spheres hold the pieces.
+
+    Yields the centres ``[3, S]`` and the radii ``[S]`` of the spheres around those that are small enough.
+    """
+    a, b, c = np.ascontiguousarray(corners.transpose(1, 2, 0))  # [3, T] each
+    while a.shape[1]:
+        middle = (np.minimum(np.minimum(a, b), c) + np.maximum(np.maximum(a, b), c)) / 2.0
+        squared = reduce(np.maximum, (_squared(corner - middle) for corner in (a, b, c)))
+        small = squared <= _SPHERE**2
+        yield middle[:, small], np.sqrt(squared[small])
+        a, b, c = (corner[:, ~small] for corner in (a, b, c))
+        ab, bc, ca = _squared(b - a), _squared(c - b), _squared(a - c)
+        turn_b, turn_c = (bc > ab) & (bc >= ca), (ca > ab) & (ca > bc)
+        a, b, c = (
+            np.where(turn_c, last, np.where(turn_b, next_one, one))
+            for one, next_one, last in ((a, b, c), (b, c, a), (c, a, b))
+        )
+        half = (a + b) / 2.0  # ab is the longest
+        a, b, c = np.hstack([a, half]), np.hstack([half, b]), np.hstack([c, c])
+
+
+def _squared(vectors: np.ndarray) -> np.ndarray:
+    """The squared lengths ``[T]`` of vectors ``[3, T]``."""
+    x, y, z = vectors
+    return np.asarray(x * x + y * y + z * z)

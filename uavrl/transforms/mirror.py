@@ -84,7 +84,7 @@ def mirror_observation(
     if not observation.shape[-1] or observation.shape[-1] % len(places):
         raise ValueError(f"Expected observations [*B, F * {len(places)}], got {list(observation.shape)}.")
     frames = observation.unflatten(-1, (-1, len(places)))
-    image = frames.index_select(-1, places) * signs.to(frames.dtype)
+    image = frames.gather(-1, places.expand(frames.shape)) * signs.to(frames.dtype)  # index_select is slower there
     heading = image[..., len(cell_directions(reduction, grid)) + len(BESIDE_SIGNS) + HEADING]
     heading.masked_fill_(heading == 1.0, -1.0)  # straight behind is -1 on either side: folded angles are in [-1, 1)
     return image.flatten(-2)
