@@ -1,5 +1,6 @@
 """The simulated LiDARs: their rays, what they see, and files of one's own."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +66,34 @@ def test_a_scan_of_the_mid360_looks_between_the_rays_of_the_scan_before() -> Non
     assert not np.array_equal(first, second, equal_nan=True)
     hits = second[~np.isnan(second[:, 0])]
     np.testing.assert_allclose(hits[np.abs(hits[:, 0] - 2.9) < 0.5][:, 0], 2.9, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["vlp16", "os0_32", "mid360"])
+def test_with_a_stride_the_rays_of_a_scan_are_spread_over_the_next_scans(name: str) -> None:
+    whole, stride = SENSORS[name], 4
+    sparse = replace(whole, stride=stride)
+    walls, (positions, rotations) = clutter(1), poses(2, 1)
+
+    def scan(sensor: LidarSensor, number: int) -> np.ndarray:
+        lidar = Lidar(walls, None, {"sensor": sensor, "max_range": 4.0, "range_noise": 0.0})
+        return lidar.scan(positions, rotations, numbers=[number])[0]
+
+    at_once = scan(whole, 0).reshape(whole.rays.azimuths.shape[1], -1, 3)  # [azimuth steps, beams, 3]
+    for number in range(stride):
+        np.testing.assert_array_equal(scan(sparse, number), at_once[number::stride].reshape(-1, 3))
+    assert sparse.num_rays * stride == whole.num_rays
+    assert len(sparse.rays.directions) == stride * len(whole.rays.directions)
+    assert sparse.rays.times.shape == (sparse.num_rays,)
+
+
+def test_a_stride_that_divides_no_scan_evenly_leaves_the_last_steps_out() -> None:
+    sparse = LidarSensor("mine", elevations=(0.0, 5.0), azimuth_steps=10, stride=3)
+    azimuths = np.degrees(sparse.rays.azimuths).round()
+    assert azimuths.tolist() == [[0, 108, 216], [36, 144, 252], [72, 180, 288]]
+    with pytest.raises(UavrlError, match="stride must be a whole number from 1 to 50; got 0"):
+        LidarSensor("mine", elevations=(0.0,), azimuth_steps=10, stride=0)
+    with pytest.raises(UavrlError, match="has 10 azimuth steps, which a stride of 11 does not leave any of"):
+        LidarSensor("mine", elevations=(0.0,), azimuth_steps=10, stride=11)
 
 
 def test_an_environment_shows_another_scan_of_a_changing_pattern_each_step() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -100,6 +100,8 @@ class LidarSensor:
                 raise UavrlError(f"The LiDAR {self.name!r}: {rule}; got {value}.")
         if self.pattern == "grid":
             self._require_rays()
+        if self.stride > 1:
+            rays_of(self)  # which refuses too large a stride
 
     def _require_rays(self) -> None:
         own = "give elevations and azimuth_steps, or a file of directions"
@@ -262,19 +264,24 @@ def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
 @lru_cache(maxsize=16)
 def rays_of(sensor: LidarSensor) -> SensorRays:
     """Return the rays of a sensor."""
-    rays = _all_rays(sensor) if sensor.stride == 1 else _in_turn(_all_rays(replace(sensor, stride=1)), sensor.stride)
+    rays = _all_rays(sensor)
+    if sensor.stride > 1:
+        rays = _in_turn(sensor.name, rays, sensor.stride)
     for array in rays:
         array.setflags(write=False)
     return rays
 
 
-def _in_turn(rays: SensorRays, every: int) -> SensorRays:
+def _in_turn(name: str, rays: SensorRays, every: int) -> SensorRays:
     """Fire every so many groups of rays of one azimuth, and the next ones in the next scan.
 
     Where the groups cannot be divided evenly, the last few of them are never fired.
     """
     scans, groups = rays.azimuths.shape
-    count = groups // every
+    if not (count := groups // every):
+        raise UavrlError(
+            f"The LiDAR {name!r} has {groups} azimuth steps, which a stride of {every} does not leave any of: lower it."
+        )
     parts = rays.directions.reshape(scans, groups, -1, 3)[:, : count * every].reshape(scans, count, every, -1, 3)
     directions = np.moveaxis(parts, 2, 1).reshape(scans * every, -1, 3)
     azimuths = np.moveaxis(rays.azimuths[:, : count * every].reshape(scans, count, every), 2, 1)

@@ -1,0 +1,37 @@
+"""The environments that a run builds."""
+
+import pytest
+
+from tests.helpers.commands import VALLEY
+from tests.helpers.configs import composed
+from uavrl.config import validate
+from uavrl.config.settings import TrainConfig
+from uavrl.errors import UavrlError
+from uavrl.losses.networks import network_sizes
+from uavrl.training.build import make_flight, make_training_env
+
+SMALL = [*VALLEY, "env.num_uavs=2", "run_dir=here"]
+
+
+def settings_of(*overrides: str) -> TrainConfig:
+    return validate(composed("config", *SMALL, *overrides))
+
+
+def test_a_training_casts_fewer_rays_with_a_stride_and_its_validations_cast_all() -> None:
+    settings = settings_of("trainer.lidar_stride=4", "perception=range_image")
+    env = make_training_env(settings, seed=0)
+    flight = make_flight(settings, network_sizes(env))
+    whole = make_training_env(settings_of("perception=range_image"), seed=0)
+    assert (env.num_rays, flight.env.num_rays, whole.num_rays) == (28_928 // 4, 28_928, 28_928)
+    seen, all_seen = (each.reset()["observation"] for each in (env, whole))
+    assert seen.shape == all_seen.shape
+    assert (seen[:, -seen.shape[1] // 3 :][:, :72] > 0).any()  # the newest scan: something is near
+    for each in (env, flight.env, whole):
+        each.close()
+
+
+def test_a_stride_needs_a_lidar() -> None:
+    settings = settings_of("trainer.lidar_stride=4")
+    del settings.perception["lidar"]
+    with pytest.raises(UavrlError, match="trainer.lidar_stride must be 1 with a perception without a LiDAR, got 4"):
+        make_training_env(settings, seed=0)
