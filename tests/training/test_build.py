@@ -33,5 +33,5 @@ def test_a_training_casts_fewer_rays_with_a_stride_and_its_validations_cast_all(
 def test_a_stride_needs_a_lidar() -> None:
     settings = settings_of("trainer.lidar_stride=4")
     del settings.perception["lidar"]
-    with pytest.raises(UavrlError, match="trainer.lidar_stride must be 1 with a perception without a LiDAR, got 4"):
+    with pytest.raises(UavrlError, match=r"trainer\.lidar_stride must be 1 with a perception without a LiDAR, got 4"):
         make_training_env(settings, seed=0)

@@ -1,8 +1,10 @@
 """How far a long piece of work is: a bar on a terminal, plain lines in a file or a pipe."""
 
+import os
 import sys
 import time
 from contextlib import ExitStack
+from typing import TextIO
 
 from uavrl.errors import extras
 from uavrl.runs.clock import command_began
@@ -37,7 +39,7 @@ class ProgressLine:
 
     def __init__(self, total: int, unit: str, *, done: int = 0, verb: str = "", enabled: bool = True) -> None:
         enabled = enabled and sys.stderr is not None  # None: it was closed before Python began
-        terminal = enabled and sys.stderr.isatty()
+        terminal = enabled and _has_columns(sys.stderr)
         self.n, self._total, self._unit, self._verb, self._text = done, total, unit, verb, ""
         self._first = self._written = done
         self._writes = enabled and not terminal
@@ -106,3 +108,13 @@ class ProgressLine:
         self._last, self._written = time.monotonic(), self.n
         sys.stderr.write(f"{self}\n")
         sys.stderr.flush()
+
+
+def _has_columns(stream: TextIO) -> bool:
+    """Whether a bar can be drawn there: on a terminal, unless it says that it is 0 columns wide, as in some containers."""
+    if not stream.isatty():
+        return False
+    try:
+        return os.get_terminal_size(stream.fileno()).columns > 0
+    except (OSError, ValueError):  # it has no width, or no number
+        return True
