@@ -127,7 +127,7 @@ def explained(error: Exception, name: str) -> str:
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         key = first.split("'")[-2].split("@")[0]
         if key == GUARDS:
-            others = "give it to uavrl-evaluate, uavrl-replay, uavrl-export or uavrl-fly"
+            others = "give it to uavrl-train, uavrl-evaluate, uavrl-replay, uavrl-export or uavrl-fly"
             return f"{ABOUT[name][0]} has no key 'guards': {others}."
         return _no_such_key(key, known_keys(name, folders))
     if first.startswith("Ambiguous value for argument '"):

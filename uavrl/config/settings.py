@@ -52,6 +52,7 @@ class TrainConfig:
     Attributes:
         choices: the yaml file of each part, by the part's name.
         packages: packages whose classes may be named, beside uavrl.
+        guards: as :func:`uavrl_onboard.guards.settings.guard_settings` reads them.
     """
 
     env: Part
@@ -73,6 +74,7 @@ class TrainConfig:
     recurrent: Part = field(default_factory=lambda: Part(_target_=None))
     choices: dict[str, str] = field(default_factory=dict)
     packages: tuple[Text, ...] = ()
+    guards: Any = None
     seed: Seed = 0
     device: str = "cpu"
     run_dir: Folder = "runs"
@@ -87,6 +89,7 @@ class TrainConfig:
         """Checks what a range cannot say."""
         require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
         require(self.resume is None or bool(self.resume.strip()), "resume", "the folder of a run", self.resume)
+        guard_settings(self.guards)
 
 
 @dataclass

@@ -20,7 +20,7 @@ from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_
 from uavrl.evaluation.worlds import FIRST_UNSEEN
 from uavrl.models.memory import IS_INIT, RECURRENT_STATE, RecurrentPolicy
 from uavrl.policy_protocol import PolicyModule
-from uavrl_onboard.guards.settings import GuardSettings, guard_settings
+from uavrl_onboard.guards.settings import guard_settings
 
 _TAKEN = ("env", "randomize")
 
@@ -58,7 +58,7 @@ class LoadedPolicy(PolicyModule):
         if self.recurrent_state is not None:
             self.out_keys.append(("next", RECURRENT_STATE))
         self.actor, self.config, self.source = actor, config, dict(source)
-        self.guards = GuardSettings()  # of the environments that make_env makes
+        self.guards = guard_settings(config.get("guards"))  # of its training, and of the environments of make_env
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action of each observation."""

@@ -22,6 +22,7 @@ from uavrl.config.settings import EvaluateConfig, FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.evaluation.worlds import TRAINING, UNSEEN, unseen_seeds, without_variety
+from uavrl.runs.config import read_config
 from uavrl.runs.labels import label
 from uavrl.runs.names import LONGEST_NAME
 from uavrl.runs.weights import POLICY
@@ -151,10 +152,12 @@ def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPoli
 
 
 def default_guards(folder: Path | None, policy: TensorDictPolicy | None = None) -> GuardSettings:
-    """Return the guards that a policy flies with by default: those of its contract, or none without a contract."""
+    """Return the guards that a policy flies with by default: those of its contract, or those of its training."""
     if folder is not None and (folder / CONTRACT).is_file():
         return read_contract(folder).guard_settings
-    return GuardSettings() if policy is None else policy.guards
+    if policy is None:
+        return GuardSettings() if folder is None else guard_settings(read_config(folder).get("guards"))
+    return policy.guards
 
 
 def _guarded(

@@ -61,6 +61,7 @@ from uavrl.transforms import Mirror, NavigationState
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION, Demonstrator, DemonstratorEnv
 from uavrl.transforms.privileged import PRIVILEGED
 from uavrl.transforms.rewards import terms_of
+from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.sentences import require
 
 VALIDATED_TOGETHER = 10  # vehicles of a validation
@@ -228,6 +229,7 @@ def make_flight(settings: TrainConfig, sizes: NetworkSizes) -> Flight:
         packages=settings.packages,
         num_uavs=VALIDATED_TOGETHER,
         recurrent_state=state,
+        guards=guard_settings(settings.guards),
         measure_clearance=False,
         seed=0,
     )
@@ -270,6 +272,7 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     carried: dict[str, Any] = {
         "recurrent_state": recurrent_shape(settings),
         "critic_reads": settings.algo.get("critic_reads", ()),
+        "guards": guard_settings(settings.guards),
     }
     if acts is None:
         return make_env(*parts, **carried, packages=packages, seed=seed)
