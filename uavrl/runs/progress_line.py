@@ -111,7 +111,7 @@ class ProgressLine:
 
 
 def _has_columns(stream: TextIO) -> bool:
-    """Whether a bar can be drawn: on a terminal, unless it says that it is 0 columns wide, as those of some containers."""
+    """Whether a bar can be drawn: on a terminal that does not say that it has no columns, as some containers do."""
     if not stream.isatty():
         return False
     try:
