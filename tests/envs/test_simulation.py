@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.helpers.vehicles import GRID, seen, world
-from uavrl.envs.bullet import SAMPLE_SPACING, pybullet, surface_samples
+from uavrl.envs import NavigationEnv
+from uavrl.envs.bullet import CLOSEST_DISTANCE_CAP, SAMPLE_SPACING, pybullet, surface_samples
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.simulation import Simulation
 from uavrl.envs.traffic import plane_mesh
@@ -352,3 +353,22 @@ def test_samples_lie_on_the_surface_and_leave_no_part_of_it_out() -> None:
     assert not samples[:, 1].any() and (samples.min(0) >= 0).all()
     edge = np.stack([0 * np.arange(91), 0 * np.arange(91), np.arange(91) / 10], -1)
     assert np.linalg.norm(edge[:, None] - samples, axis=-1).min(1).max() < SAMPLE_SPACING
+
+
+def test_the_closest_distance_is_that_of_asking_bullet_about_every_body() -> None:
+    env = NavigationEnv(num_uavs=4, world={"seeds": (100, 101), "obstacles": 45, "planes": 2}, measure_clearance=True)
+    env.reset()
+    simulation, rng = env.simulation, np.random.default_rng(0)
+    bodies = [*simulation._statics, *simulation._planes.bodies]
+    found = []
+    for _ in range(4):
+        origins = np.stack([env.world.places[place].origin for place in rng.integers(2, size=4)])
+        places = np.column_stack([origins + rng.uniform([-20, -15], [20, 15], (4, 2)), rng.uniform(0.5, 6, 4)])
+        simulation.reset(np.arange(4), places, rng.uniform(-3, 3, 4))
+        told = {"distance": CLOSEST_DISTANCE_CAP, "physicsClientId": simulation._client}
+        for vehicle, distance in zip(simulation._vehicles, simulation.closest_distance(), strict=True):
+            points = [point[8] for body in bodies for point in pybullet.getClosestPoints(vehicle, body, **told)]
+            assert distance == min([CLOSEST_DISTANCE_CAP, *points])
+            found.append(float(distance))
+    assert min(found) < 0.5 < 1.0 < max(found)
+    env.close()

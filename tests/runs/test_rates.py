@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from scipy.stats import binomtest
 
 from tests.helpers.folders import ROOT
 from uavrl.runs.episodes import rate_cell, success_text, wilson
@@ -21,6 +22,15 @@ from uavrl.runs.episodes import rate_cell, success_text, wilson
 def test_a_rate_as_text_and_as_a_cell(count: int, total: int, text: str, cell: str) -> None:
     rate = wilson(count, total)
     assert (success_text(rate, total), rate_cell(rate)) == (text, cell)
+
+
+def test_the_interval_is_scipys() -> None:
+    for total in (1, 2, 20, 500):
+        for count in {0, 1, total // 3, total - 1, total}:
+            scipys = binomtest(count, total).proportion_ci(0.95, method="wilson")
+            rate = wilson(count, total)
+            assert rate["rate"] == count / total
+            assert (rate["low"], rate["high"]) == pytest.approx((scipys.low, scipys.high), abs=1e-14)
 
 
 @pytest.mark.parametrize("folder", ["uavrl", "studies", "benchmarks", "examples", "docs/tutorials"])

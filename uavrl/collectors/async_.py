@@ -82,7 +82,11 @@ class AsyncCollector(MultiAsyncCollector):
         return True
 
     def shutdown(self, *args: Any, **kwargs: Any) -> None:
-        """Ends the worker, and what TorchRL would end when it is collected: too late where Python itself is ending."""
+        """Ends the worker, and what TorchRL would end when it is collected: too late where Python itself is ending.
+
+        The worker is not asked: it would finish its batch first, which takes seconds and which nobody reads.
+        """
+        _kill(getattr(self, "procs", ()))
         super().shutdown(*args, **kwargs)
         self._end_schemes()
 

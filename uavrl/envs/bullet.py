@@ -1,6 +1,7 @@
 """PyBullet without the lines that its C code prints, the bodies of a world, and distances between them."""
 
 import ctypes
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -124,18 +125,31 @@ class Clearance:
     """Distances from hulls to the bodies of a PyBullet world.
 
     Bullet looks at every triangle within the distance that it is asked for, so it is asked for no more than what the
-    nearest sample of the static surface shows to be enough. The samples are made when they are first needed.
+    nearest sample of the static surface shows to be enough, and not about bodies whose boxes are farther away. The
+    samples are made when they are first needed.
+
+    Args:
+        client: of PyBullet.
+        meshes: the static surface.
+        statics: the bodies that stay where they are.
+        moving: the bodies that move.
+        airframe: has the hull.
     """
 
-    def __init__(self, client: int, statics: Sequence[Mesh], bodies: Sequence[int], airframe: Airframe) -> None:
-        self._client, self._statics, self._bodies = client, list(statics), list(bodies)
+    def __init__(
+        self, client: int, meshes: Sequence[Mesh], statics: Sequence[int], moving: Sequence[int], airframe: Airframe
+    ) -> None:
+        self._client, self._meshes, self._statics, self._moving = client, list(meshes), list(statics), list(moving)
         self._ball = min(airframe.collision_radius, airframe.collision_height / 2)  # in the middle of the hull
+        self._around = math.hypot(airframe.collision_radius, airframe.collision_height / 2)  # the whole hull
+        boxes = [pybullet.getAABB(body, physicsClientId=client) for body in self._statics]
+        self._lowest, self._highest = np.reshape(boxes, (-1, 2, 3)).swapaxes(0, 1)
 
     @cached_property
     def _surface(self) -> "cKDTree | None":
         from scipy.spatial import cKDTree  # here, so that it is PyBullet that is missed first
 
-        return cKDTree(surface_samples(Mesh.merge(self._statics), SAMPLE_SPACING)) if self._statics else None
+        return cKDTree(surface_samples(Mesh.merge(self._meshes), SAMPLE_SPACING)) if self._meshes else None
 
     def distances(self, vehicles: Sequence[int], positions: np.ndarray) -> np.ndarray:
         """Returns ``[N]``: m from each hull, around ``positions [N, 3]``, to the nearest body, at most 5."""
@@ -143,8 +157,10 @@ class Clearance:
         if self._surface is not None:
             nearest = np.maximum(self._surface.query(positions)[0] - self._ball, 0.0)
             distances = np.minimum(nearest + SLACK, CLOSEST_DISTANCE_CAP)
-        for row, vehicle in enumerate(vehicles):
-            for body in self._bodies:
+        for row, (vehicle, position) in enumerate(zip(vehicles, positions, strict=True)):
+            outside = np.maximum(self._lowest - position, position - self._highest).clip(min=0.0)
+            near = np.linalg.norm(outside, axis=1) <= distances[row] + self._around + SLACK
+            for body in [*(self._statics[each] for each in np.flatnonzero(near)), *self._moving]:
                 within = float(distances[row])
                 points = pybullet.getClosestPoints(vehicle, body, distance=within, physicsClientId=self._client)
                 distances[row] = min([distances[row], *(point[8] for point in points)])

@@ -128,7 +128,7 @@ class Simulation:
         self._statics = [add_fixed(self._client, part, STATIC) for mesh in meshes for part in mesh.split()]
         self._planes = PlaneBodies(self._client, plane_mesh, plane_count)
         self._vehicles = [add_vehicle(self._client, self.airframe) for _ in range(self.count)]
-        self._clearance = Clearance(self._client, meshes, self._statics + self._planes.bodies, self.airframe)
+        self._clearance = Clearance(self._client, meshes, self._statics, self._planes.bodies, self.airframe)
         self._row = {body: row for row, body in enumerate(self._vehicles)}
 
     def reset(
