@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 import json
+from multiprocessing import Pipe
 from pathlib import Path
 
 import pytest
 
 from tests.helpers.commands import in_process
 from uavrl.cli import compare as compare_command
-from uavrl.cli.compare import CompareConfig, compare, main
+from uavrl.cli.compare import CompareConfig, _Flight, _wait_for, compare, main
+from uavrl.errors import UavrlError
+from uavrl.runs.progress_line import ProgressLine
 
 FAILS_OFTEN = "SC" * 50
 
@@ -36,6 +39,27 @@ def test_equal_policies_take_all_tasks_and_neither_is_better(recorded: dict[str,
 def test_the_row_of_a_suite_is_the_one_that_is_asked_for(recorded: dict[str, str]) -> None:
     found, _ = compare(CompareConfig(recorded["good"], recorded["suite"], row="dense"))
     assert found.better == "first"
+
+
+def test_the_line_shows_how_many_tasks_both_have_flown(capsys: pytest.CaptureFixture[str]) -> None:
+    told = []
+    flights = {}
+    for name in ("first", "second"):
+        flight = flights[name] = _Flight.__new__(_Flight)
+        flight.ended, theirs = Pipe(duplex=False)
+        flight._outcomes = {}
+        told.append(theirs)
+    for task, letter in enumerate("SCTS"):
+        told[0].send((3 - task, letter))  # in another order
+    told[1].send((0, "S"))
+    told[1].send((1, "S"))
+    with ProgressLine(4, "tasks") as line:
+        _wait_for(2, flights, line)
+        assert [flights[name].first(2) for name in flights] == ["ST", "SS"]
+        told[1].send("There is no such policy.")
+        with pytest.raises(UavrlError, match="no such policy"):
+            _wait_for(4, flights, line)
+        assert line.n == 2
 
 
 def test_the_verdict_is_printed_and_written(

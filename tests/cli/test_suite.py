@@ -83,7 +83,8 @@ def test_what_is_flown_is_kept_and_what_is_damaged_or_of_other_tasks_is_flown_ag
     quoted = str(folder).replace("'", "\\'")
     command = [*LITTLE, f"output='{quoted}'"]
     assert in_process(evaluate_command.main, *command) == 0
-    assert "dense " in capsys.readouterr().out
+    shown = capsys.readouterr()
+    assert "dense " in shown.out and "4/4 tasks | " in shown.err
     table = json.loads((folder / "suite.json").read_text())
     assert list(table) == ["static", "dense"]
     assert len(table["dense"]["outcomes"]) == 2 and {"versions", "processor"} < table["dense"].keys()
@@ -126,7 +127,7 @@ def test_the_table_has_rows_that_another_command_wrote_meanwhile(
         found: dict[str, Any] = json.loads(evaluation(tmp_path, 1, 2, f"{name}.json", **told).read_text())
         return found
 
-    def evaluated(_: object, wanted: dict[str, Any]) -> dict[str, Any]:
+    def evaluated(_: object, wanted: dict[str, Any], __: object) -> dict[str, Any]:
         row("dense")
         return {name: row(name) for name in wanted}
 
@@ -143,7 +144,7 @@ def test_another_runs_results_in_the_same_folder_are_not_taken(tmp_path: Path, m
         evaluation(tmp_path, 1, 2, f"{name}.json", overrides=["seed=7", *scenarios([name])[name]], **policy)
     evaluated: list[str] = []
 
-    def evaluate(_: object, wanted: dict[str, Any]) -> dict[str, Any]:
+    def evaluate(_: object, wanted: dict[str, Any], __: object) -> dict[str, Any]:
         evaluated.extend(wanted)
         return {name: json.loads((tmp_path / f"{name}.json").read_text()) for name in wanted}
 

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -137,6 +137,7 @@ def compare(settings: CompareConfig) -> tuple[Comparison, dict[str, str]]:
     found = Comparison(0, 0, 0, settings.error)
     with _flights(flying, tasks) as flown, ProgressLine(tasks, "tasks", enabled=bool(flying)) as line:
         for end in [*range(settings.block, tasks, settings.block), tasks]:
+            _wait_for(end, flown, line)
             outcomes = {name: known[name][:end] if name in known else flown[name].first(end) for name in SIDES}
             found = Comparison.of(outcomes["first"], outcomes["second"], settings.error)
             line.set(end)
@@ -210,28 +211,45 @@ class _Flight:
 
     def __init__(self, overrides: list[str]) -> None:
         context = multiprocessing.get_context("spawn")
-        self._ended, theirs = context.Pipe(duplex=False)
+        self.ended, theirs = context.Pipe(duplex=False)
         self._process = context.Process(target=_fly, args=(overrides, theirs), daemon=True)
         self._process.start()
         theirs.close()
         self._outcomes: dict[int, str] = {}
 
     def first(self, count: int) -> str:
-        """Wait for tasks 0 to ``count - 1`` and return their outcomes; longer tasks are not left out."""
-        while any(task not in self._outcomes for task in range(count)):
-            try:
-                told = self._ended.recv()
-            except EOFError as error:
-                raise UavrlError("A flight's process was killed, often for want of memory: start it again.") from error
-            if isinstance(told, str):
-                raise UavrlError(told)
-            self._outcomes[told[0]] = told[1]
+        """Return the outcomes of tasks 0 to ``count - 1``, which have ended."""
         return "".join(self._outcomes[task] for task in range(count))
+
+    def flown(self, count: int) -> int:
+        """How many of tasks 0 to ``count - 1`` have ended: longer tasks are not left out."""
+        return sum(task in self._outcomes for task in range(count))
+
+    def hear(self) -> None:
+        """Take in one outcome; wait for it."""
+        try:
+            told = self.ended.recv()
+        except EOFError as error:
+            raise UavrlError("A flight's process was killed, often for want of memory: start it again.") from error
+        if isinstance(told, str):
+            raise UavrlError(told)
+        self._outcomes[told[0]] = told[1]
 
     def stop(self) -> None:
         """End the process."""
         self._process.kill()
         self._process.join()
+
+
+def _wait_for(count: int, flights: dict[str, _Flight], line: ProgressLine) -> None:
+    """Wait until all flights have flown tasks 0 to ``count - 1``; the line shows how many all have flown."""
+    while flights and (done := min(each.flown(count) for each in flights.values())) < count:
+        line.set(max(done, line.n))
+        waiting = [each for each in flights.values() if each.flown(count) < count]
+        ready = wait([each.ended for each in waiting], timeout=1.0)
+        for each in waiting:
+            if each.ended in ready:
+                each.hear()
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -114,8 +114,13 @@ def environment_of(chosen: PolicySetup, settings: EvaluateConfig, told: dict[str
             env.close()
 
 
-def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
-    """Rolls out the tasks of one evaluation, and writes the result with the overrides that made it."""
+def evaluate(
+    config: DictConfig, overrides: list[str], output: Path, count: Callable[[], None] | None = None
+) -> dict[str, Any]:
+    """Rolls out the tasks of one evaluation, and writes the result with the overrides that made it.
+
+    ``count`` is called after each task, in place of a progress line.
+    """
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.evaluation.position_stats import PositionStats
     from uavrl.evaluation.rollout import rollout_episodes
@@ -133,7 +138,8 @@ def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str
             log.info("Flying %s in %s.", pluralize(settings.episodes, "task"), where)
         places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
         watch = None if places is None else places.add
-        flights = rollout_episodes(env, chosen.policy, settings.episodes, watch=watch, progress=settings.progress)
+        how: dict[str, Any] = {"watch": watch, "count": count, "progress": settings.progress}
+        flights = rollout_episodes(env, chosen.policy, settings.episodes, **how)
         if isinstance(env.base_env, NavigationEnv):
             flights = with_difficulty(flights, env.base_env.difficulty([flight.task for flight in flights]))
     result = summarize(flights) | ({} if places is None else {"position_stats": places.summary()})

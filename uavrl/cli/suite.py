@@ -25,13 +25,16 @@ from uavrl.evaluation.worlds import TRAINING
 from uavrl.runs.episodes import outcomes_of, success_text
 from uavrl.runs.interrupts import interrupts_held_back
 from uavrl.runs.machine import processors
+from uavrl.runs.progress_line import ProgressLine
 from uavrl.runs.trust import check_links
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.files import replacing, writable
 
 log = logging.getLogger(__name__)
 OWN = ("suite", "output", "progress")  # keys of the suite, not of its evaluations
-Evaluate = Callable[[DictConfig, list[str], Path], dict[str, Any]]
+SPAWN = multiprocessing.get_context("spawn")
+Evaluate = Callable[..., dict[str, Any]]  # as uavrl.cli.evaluate.evaluate
+_counters: list[Any] = []  # of a process that flies scenarios, the one of tasks that have ended
 
 
 def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list[str]) -> None:
@@ -56,7 +59,8 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     flown = {name: result for name in chosen if (result := _same(outputs[name], settings, told[name])) is not None}
     for name in flown:
         log.info("%s is there already", outputs[name])
-    flown |= _evaluated(evaluate, {n: (configs[n], told[n], outputs[n]) for n in chosen if n not in flown})
+    missing = {name: (configs[name], told[name], outputs[name]) for name in chosen if name not in flown}
+    flown |= _evaluated(evaluate, missing, settings)
     results = {name: flown[name] for name in chosen}
     # The others are read last: another command may have written some meanwhile.
     found = {name: results.get(name) or _same(outputs[name], settings, told[name]) for name in every}
@@ -92,15 +96,20 @@ def in_worlds_of(row: Sequence[str]) -> list[str]:
     return [f"valleys={TRAINING}", *row]
 
 
-def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]]) -> dict[str, Any]:
-    """The results of some scenarios, each in a process of its own."""
-    results = {}
-    with _processes(min(processors(), max(len(scenarios), 1))) as pool:
+def _evaluated(
+    evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]], settings: EvaluateConfig
+) -> dict[str, Any]:
+    """The results of some scenarios, each in a process of its own; a line says how far all of them are."""
+    results, ended, tasks = {}, SPAWN.Value("q", 0), len(scenarios) * settings.episodes
+    with (
+        _processes(min(processors(), max(len(scenarios), 1)), ended) as pool,
+        ProgressLine(tasks, "tasks", enabled=settings.progress and tasks > 0) as line,
+    ):
         with interrupts_held_back():
-            futures = {name: pool.submit(evaluate, *scenario) for name, scenario in scenarios.items()}
+            futures = {name: pool.submit(_row, evaluate, *scenario) for name, scenario in scenarios.items()}
         for name, each in futures.items():
             try:
-                results[name] = _result(each)
+                results[name] = _result(each, lambda: line.set(ended.value))
             except BrokenProcessPool as error:
                 raise UavrlError(
                     f"{name}: its process was killed, often for want of memory: start the same command again, which "
@@ -112,17 +121,19 @@ def _evaluated(evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, lis
     return results
 
 
-def _result(future: Future[Any]) -> Any:
+def _result(future: Future[Any], meanwhile: Callable[[], None] = lambda: None) -> Any:
     """What a process has found; it is looked for each second, as a signal wakes only the thread that it comes to."""
     while not future.done():
         wait([future], timeout=1.0)
+        meanwhile()
+    meanwhile()
     return future.result()
 
 
 @contextmanager
-def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
+def _processes(count: int, ended: Any = None) -> Iterator[ProcessPoolExecutor]:
     """Processes that end with this one; on an error they finish their evaluations first, on Ctrl-C they do not."""
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), begin_worker)
+    pool = ProcessPoolExecutor(count, SPAWN, _begin, (ended,))
     try:
         yield pool
     except BaseException as error:
@@ -132,6 +143,23 @@ def _processes(count: int) -> Iterator[ProcessPoolExecutor]:
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _begin(ended: Any) -> None:
+    """Prepare a process that flies scenarios; all such processes count the tasks that have ended in ``ended``."""
+    begin_worker()
+    _counters[:] = [ended]
+
+
+def _row(evaluate: Evaluate, config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
+    """One scenario, in a process that ``_begin`` prepared."""
+    (ended,) = _counters
+
+    def count() -> None:
+        with ended.get_lock():
+            ended.value += 1
+
+    return evaluate(config, overrides, output, count)
 
 
 def begin_worker() -> None:

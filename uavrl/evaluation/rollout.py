@@ -172,12 +172,18 @@ def rollout_episodes(
     episodes: int,
     *,
     watch: Callable[[np.ndarray], None] | None = None,
+    count: Callable[[], None] | None = None,
     progress: bool = False,
 ) -> list[EpisodeResult]:
-    """Return what :func:`episodes_as_they_end` yields, in the order of the tasks; ``progress`` shows a line."""
+    """Return what :func:`episodes_as_they_end` yields, in the order of the tasks.
+
+    ``count`` is called after each of them; ``progress`` shows a line.
+    """
     results = dict[int, EpisodeResult]()
     with ProgressLine(episodes, "episodes", enabled=progress) as line:
         for each in episodes_as_they_end(env, policy, episodes, watch=watch):
             results[each.task] = each
             line.add(1)
+            if count is not None:
+                count()
     return [results[task] for task in range(episodes)]

@@ -266,7 +266,7 @@ def prepare_valleys(settings: TrainConfig) -> None:
 
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     """The environment of a run; a scripted controller acts in it first where ``demonstrator`` names one."""
-    parts, packages = (settings.env, _with_stride(settings), settings.reward), settings.packages
+    parts, packages = (settings.env, with_stride(settings), settings.reward), settings.packages
     callable_type: Any = Callable
     acts = build(settings.demonstrator, callable_type, packages=packages)
     carried: dict[str, Any] = {
@@ -286,7 +286,7 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     return env
 
 
-def _with_stride(settings: TrainConfig) -> Part:
+def with_stride(settings: TrainConfig) -> Part:
     """The perception of a training, whose LiDAR may fire fewer rays than that of an evaluation."""
     stride, lidar = settings.trainer.lidar_stride, settings.perception.get("lidar")
     require(stride == 1 or lidar is not None, "trainer.lidar_stride", "1 with a perception without a LiDAR", stride)
