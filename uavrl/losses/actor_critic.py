@@ -41,7 +41,7 @@ class ActorCriticLoss(_LossModule):
     """True if the critics may have inputs that the actor does not have, such as a memory of their own."""
 
     has_targets: ClassVar[bool] = True
-    """Whether target networks follow the others."""
+    """True if target networks follow the others."""
 
     learns_from_sequences: ClassVar[bool] = False
     """True if batches contain windows of episodes instead of transitions, as in :class:`~uavrl.losses.SequenceLoss`."""
