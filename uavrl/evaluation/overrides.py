@@ -59,17 +59,17 @@ def require_sensor_alone(keys: Iterable[str], groups: Collection[str], owner: st
 
 
 def keys_of(overrides: Iterable[str]) -> list[str]:
-    """The key of each override."""
+    """Return the key of each override."""
     return [override.split("=", 1)[0] for override in overrides]
 
 
 def result_overrides(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
-    """The overrides of a command line whose keys are not plain: those by which its result differs from another one."""
+    """Return the overrides whose keys are not ``plain``, which distinguish a result from others."""
     return [override for override in overrides if override.split("=")[0] not in plain]
 
 
 def output_name(stem: str, overrides: Sequence[str]) -> str:
-    """A file name without suffix in which the overrides stand."""
+    """Return a file name without suffix that contains the overrides."""
     told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
     name = "_".join([stem, *told])
     if len(name) <= LONGEST_NAME:

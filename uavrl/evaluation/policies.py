@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from uavrl.evaluation.loaded import LoadedPolicy
     from uavrl.policy_protocol import TensorDictPolicy
 
-PACKAGED = Path(__file__).parents[1] / "policies" / "data"  # what `policy=NAME` names, beside the baselines
-EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
+PACKAGED = Path(__file__).parents[1] / "policies" / "data"  # the folders of the packaged policies
+EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # A string, because its room imports this one.
 BASELINES = {
     "straight": "uavrl.policies.baselines.StraightPolicy",
     "vfh": "uavrl.policies.baselines.VectorFieldHistogram",
@@ -39,12 +39,12 @@ BASELINES = {
 
 
 def packaged_policies() -> list[str]:
-    """The names of the policies that come with the package."""
+    """Return the names of the policies that come with the package."""
     return sorted(path.parent.name for path in PACKAGED.glob(f"*/{POLICY.json}"))
 
 
 def policy_folder(run: str | None, policy: str | None) -> Path | None:
-    """Where the policy lies that the command line names: a run, or a packaged policy; None for a baseline."""
+    """Return the folder of the run or of the packaged policy that a command line names; None for any other policy."""
     if (run is None) == (policy is None):
         raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
     if run is not None:
@@ -53,7 +53,7 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
 
 
 def require_policy(name: object) -> None:
-    """Refuses a name that means no policy; loads no torch."""
+    """Refuse a name that means no policy, without importing PyTorch."""
     names = [*BASELINES, *packaged_policies()]
     if isinstance(name, str) and name not in names and "." not in name and exported_folder(name) is None:
         hint = (
@@ -63,7 +63,7 @@ def require_policy(name: object) -> None:
 
 
 def require_named(config: DictConfig) -> None:
-    """The same of what a command line says; a value that cannot be read is told where all others are."""
+    """Refuse a policy of a configuration that does not exist; validation reports a value that cannot be read."""
     with suppress(OmegaConfBaseException):
         require_policy(config.policy)
 
@@ -76,20 +76,20 @@ def load_policy(
     packages: Iterable[str] = (),
     guards: Any = None,
 ) -> LoadedPolicy:
-    """Loads a trained policy: it reads what an environment emits, and writes ``action``.
+    """Load a trained policy, which reads what an environment emits, and writes ``action``.
 
     Environments for it come from :meth:`~uavrl.evaluation.loaded.LoadedPolicy.make_env`.
 
     Args:
         policy: the name of a packaged policy (``"best"``), the folder of a run, or one that ``uavrl-export`` wrote.
         checkpoint: the file of one of a run's checkpoints; None: the newest.
-        device: where the network is computed: ``cpu``, ``cuda``, ``cuda:<index>`` or ``auto``.
-        packages: whose code may be executed because the run names their classes.
-        guards: those of the environments that its ``make_env`` makes: ``"all"``, ``"none"``, a list of names, or as
-            :func:`~uavrl_onboard.guards.settings.guard_settings` reads it. None: as its contract says.
+        device: the device that computes the network: ``cpu``, ``cuda``, ``cuda:<index>`` or ``auto``.
+        packages: the packages whose code may be executed, because the run names their classes.
+        guards: the guards of the environments that its ``make_env`` makes: ``"all"``, ``"none"``, a list of names, or
+            any other value of :func:`~uavrl_onboard.guards.settings.guard_settings`. None: the guards of its contract.
 
     Raises:
-        UavrlError: where there is no such policy, or its files are damaged, and for an unknown guard.
+        UavrlError: if there is no such policy, its files are damaged, or a guard is unknown.
 
     Examples:
         >>> policy = load_policy("best")
@@ -121,11 +121,16 @@ def default_guards(folder: Path | None, policy: TensorDictPolicy | None = None) 
 def named_policy(
     name: str, told: Mapping[str, Any], packages: Sequence[str], vecnormalize: str | None = None
 ) -> TensorDictPolicy:
-    """A policy that is no run: a baseline, a ``.zip`` of Stable-Baselines3, or a ``PACKAGE.MODULE.CLASS``.
+    """Return a policy that is not a run: a baseline, an exported folder, a ``.zip`` of SB3, or a class.
 
-    Of ``told``, ``flight_level``, ``airframe`` and what perception says (``radius``, …), a baseline is given what its
-    constructor names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
-    ``stable_baselines3``; ``vecnormalize`` is the file of its statistics. A folder is one that ``uavrl-export`` wrote.
+    Args:
+        name: the name of a baseline; a folder that ``uavrl-export`` wrote; a ``.zip`` of Stable-Baselines3; or
+            ``PACKAGE.MODULE.CLASS``.
+        told: ``flight_level``, ``airframe`` and the keys of perception, such as ``radius``. A baseline receives those
+            that its constructor names, any other class the ``flight_level``.
+        packages: the packages whose code may be executed. Opening a ``.zip`` can run programs, so ``packages`` must
+            contain ``stable_baselines3``.
+        vecnormalize: the file with the statistics of the ``.zip``.
     """
     from uavrl.policy_protocol import as_policy
 
@@ -150,19 +155,19 @@ def named_policy(
 
 
 def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
-    """Says which names a policy may have, and how to name one of one's own."""
+    """Return an error with the names that a policy may have, and how to name your own."""
     near = did_you_mean(name, names, ": ", own)
     return UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{near}")
 
 
 def exported_folder(name: str) -> Path | None:
-    """The folder of an exported policy that a name means; None for a name of another kind."""
+    """Return the folder of an exported policy that a name means; None for a name of another kind."""
     path = Path(name).expanduser() if name.startswith("~/") else Path(name)
     return path if "/" in name or path.is_dir() else None
 
 
 def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:
-    """The file that a policy of :func:`named_policy` comes from; None for a baseline, and where there is none."""
+    """Return the file that a policy of :func:`named_policy` comes from; None for a baseline, or without a file."""
     path = Path(name)
     if path.suffix != ".zip":
         if (folder := exported_folder(name)) is not None:

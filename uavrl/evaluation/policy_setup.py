@@ -31,20 +31,20 @@ SENSOR = "perception.lidar.sensor"
 
 @dataclass(frozen=True)
 class PolicySetup:
-    """A policy and its environment."""
+    """A policy, and the parts of the environment in which it is run."""
 
     policy: TensorDictPolicy
     env: Part
     perception: Part
     reward: Part
-    choices: Mapping[str, str]  # the yaml file of each part
-    source: dict[str, Any]  # what a result says about the policy
-    run: TrainConfig | None = None  # where it comes from, with what the command line changed; None for a baseline
-    guards: GuardSettings = field(default_factory=GuardSettings)  # between the policy and the environment
+    choices: Mapping[str, str]  # the name of each part's yaml file
+    source: dict[str, Any]  # the facts about the policy that a result contains
+    run: TrainConfig | None = None  # its configuration with the changes of the command line; None for a baseline
+    guards: GuardSettings = field(default_factory=GuardSettings)  # guards between the policy and the environment
 
     @property
     def env_options(self) -> dict[str, Any]:
-        """Options of :func:`~uavrl.evaluation.environment.make_env`: guards, and what makes it emit the ``in_keys``."""
+        """The options of :func:`~uavrl.evaluation.environment.make_env` for the guards and the policy's ``in_keys``."""
         read = self.policy.in_keys
         return {
             "keep_cloud": "point_cloud" in read,
@@ -58,7 +58,7 @@ class PolicySetup:
 def choose(
     settings: FlyingConfig, config: DictConfig, overrides: list[str], folder: Path | None, device: torch.device
 ) -> PolicySetup:
-    """Loads what the command line asks for."""
+    """Load the policy that a command line asks for, and return it with its environment."""
     from uavrl.evaluation.actor import read_policy
 
     if "env.num_uavs" in keys_of(overrides):
@@ -89,7 +89,7 @@ def choose(
 
 
 def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collection[str]) -> None:
-    """Puts the valleys that the command line asks for into the environment, or else those that no training used."""
+    """Set the valleys that the command line asks for; by default, those that the training did not use."""
     foreign = chosen.run is not None and "training_valleys" not in chosen.source
     if settings.valleys == TRAINING and foreign and "world" in chosen.env and chosen.env.world.VARIES:
         raise UavrlError(
@@ -107,7 +107,7 @@ def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collecti
 
 
 def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPolicy) -> PolicySetup:
-    """The same policy, whose LiDAR has been found to see its cells; its source says which LiDAR is another one."""
+    """Check that the LiDAR sees the policy's cells, and add another LiDAR than that of the training to the source."""
     from uavrl.evaluation.field_of_view import TRAINED_WITH, check_field_of_view, trained_sensor
 
     if (lidar := chosen.perception.get("lidar")) is None:
@@ -127,7 +127,7 @@ def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPoli
 def _guarded(
     chosen: PolicySetup, settings: FlyingConfig, given: Collection[str], default: GuardSettings
 ) -> PolicySetup:
-    """The same policy behind the guards that the command line asks for, or else its own."""
+    """Add the guards that the command line asks for; by default, those of the policy."""
     from uavrl.evaluation.environment import with_sight
 
     valley = "world" in chosen.env
@@ -148,7 +148,7 @@ def _guarded(
 def _as_contracted(
     policy: TensorDictPolicy, settings: FlyingConfig, config: DictConfig, overrides: list[str]
 ) -> FlyingConfig:
-    """The settings with the perception and the sensor of an exported policy; as they are for any other."""
+    """Return the settings with the perception and the sensor of an exported policy; unchanged for any other."""
     if policy.overrides is None:
         return settings
     config = config.copy()
@@ -161,7 +161,7 @@ def _as_contracted(
 
 
 def require_fit(chosen: PolicySetup, env: EnvBase) -> None:
-    """Refuses a run's policy that reads or writes other numbers than an environment has, before the first step."""
+    """Refuse, before the first step, a run's policy whose inputs or actions do not fit an environment."""
     import torch
 
     if chosen.run is None:
