@@ -13,9 +13,7 @@ from uavrl_onboard.cli.process import command_process
 from uavrl_onboard.cli.scan import ABOUT as SCAN
 from uavrl_onboard.sentences import did_you_mean
 
-COMMANDS = {
-    about.name.removeprefix("uavrl-"): about.summary for about in (*ABOUT.values(), COMPARE, SCAN, CHECK, FLY)
-}
+COMMANDS = {about.name.removeprefix("uavrl-"): about.summary for about in (*ABOUT.values(), COMPARE, SCAN, CHECK, FLY)}
 ON_BOARD = ("scan", "check", "fly")  # commands of uavrl-onboard
 
 
