@@ -11,24 +11,14 @@ ABOUT = {
     "config": About(
         "uavrl-train",
         "Trains one policy, or with -m one for each combination of values.",
-        [
-            "preset=dagger",
-            "env=dynamic algo=sac seed=1",
-            "-m seed=0,1,2 algo.gamma=0.98,0.99",
-            "resume=RUN_FOLDER",
-        ],
+        ["preset=dagger", "env=dynamic algo=sac seed=1", "-m seed=0,1,2 algo.gamma=0.98,0.99", "resume=RUN_FOLDER"],
         "run_dir resume seed device trainer.episodes trainer.steps env.num_uavs env.world.obstacles "
         "algo.learning_starts packages",
     ),
     "evaluate": About(
         "uavrl-evaluate",
         "Rolls out a policy in fixed tasks without noise: its success rate.",
-        [
-            "policy=best",
-            "run=RUN_FOLDER episodes=100",
-            "run=RUN_FOLDER valleys=training",
-            "run=RUN_FOLDER suite=all",
-        ],
+        ["policy=best", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER valleys=training", "run=RUN_FOLDER suite=all"],
         "run policy episodes suite valleys output seed checkpoint num_uavs",
     ),
     "replay": About(

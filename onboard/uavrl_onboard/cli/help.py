@@ -45,17 +45,9 @@ def render_help(
     choices: Mapping[str, str] | None = None,
     more: Sequence[str] = (),
 ) -> str:
-    """Return the help of a command, with its most common keys or with all of them.
-
-    Args:
-        about: the command.
-        keys: all keys of the command.
-        every_key: show all keys and their defaults.
-        choices: the groups of keys, and a list of the choices of each.
-        more: lines at the end.
-    """
+    """Return the help of a command, with its most common keys or with all; ``choices`` are those of each group."""
     known = {key.name: key for key in keys}
-    lines = [f"{about.name}: {about.summary}", "", f"Usage: {about.name} KEY=VALUE …", ""]
+    lines = [f"{about.name}: {about.summary}", "", f"Usage: {about.name} KEY=VALUE …"]
     lines += [f"  {about.name} {example}" for example in about.examples]
     if choices:
         lines += ["", "Choices, with [the default] in brackets", *_table(choices)]
