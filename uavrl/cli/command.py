@@ -123,7 +123,7 @@ def explained(error: Exception, name: str) -> str:
         if folders:
             own = f"{folders[0]} has no {group}/{choice}.yaml."
         if group == "hydra/launcher":
-            own = "To get joblib, submitit_local and submitit_slurm: pip install 'uavrl[launchers]'."
+            own = "joblib, submitit_local and submitit_slurm come with pip install 'uavrl[launchers]'."
         near = did_you_mean(choice, error.options, ": ")
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
