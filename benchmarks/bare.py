@@ -1,4 +1,4 @@
-"""What no environment on PyBullet and Embree can do without: physics steps and ray casts, and nothing around them."""
+"""The least that an environment on PyBullet and Embree computes: its physics steps and its ray casts."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from uavrl_onboard.mesh import Mesh
 
 
 @dataclass(frozen=True)
-class State:
-    """All vehicles at one moment: positions ``[N, 3]`` of hull and sensor, rotations ``[N, 3, 3]``, velocities."""
+class FleetState:
+    """The motion of all vehicles at one moment."""
 
-    position: np.ndarray
-    sensor: np.ndarray
-    rotation: np.ndarray
-    velocity: np.ndarray
+    position: np.ndarray  # of the hulls, [N, 3] in m
+    sensor: np.ndarray  # positions of the LiDARs, [N, 3] in m
+    rotation: np.ndarray  # from body to world, [N, 3, 3]
+    velocity: np.ndarray  # [N, 3] in m/s
 
 
-def bare_physics(world: World, airframe: Airframe, states: list[State]) -> Row:
-    """`stepSimulation` alone, from the given states on, in turn."""
+def bare_physics(world: World, airframe: Airframe, states: list[FleetState]) -> Row:
+    """Return a row that times only `stepSimulation`, from each of the given states in turn."""
     with silenced():
         client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=client)
@@ -41,7 +41,7 @@ def bare_physics(world: World, airframe: Airframe, states: list[State]) -> Row:
     vehicles = [add_vehicle(client, airframe) for _ in states[0].position]
     turn = 0
 
-    def place(state: State) -> None:
+    def place(state: FleetState) -> None:
         centres = state.position + state.rotation @ np.array(airframe.centre_of_mass)
         attitudes = Rotation.from_matrix(state.rotation).as_quat()
         for body, centre, attitude, velocity in zip(vehicles, centres, attitudes, state.velocity, strict=True):
@@ -60,8 +60,8 @@ def bare_physics(world: World, airframe: Airframe, states: list[State]) -> Row:
     return run
 
 
-def bare_rays(world: World, reach: float, states: list[State]) -> Row:
-    """One Embree call on ready-made rays, from the given states in turn."""
+def bare_rays(world: World, reach: float, states: list[FleetState]) -> Row:
+    """Return a row that times one Embree call on prepared rays, from each of the given states in turn."""
     scene, mesh = EmbreeScene(), Mesh.merge(world.meshes)
     TriangleMesh(scene, mesh.vertices, mesh.faces)
     ahead, turn = firing_directions(), 0

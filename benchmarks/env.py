@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from bare import State, bare_physics, bare_rays
+from bare import FleetState, bare_physics, bare_rays
 from common import machine
 from flights import Row, flights_in, flying, mean_of, measure, settings
 from profiling import Stopwatch
@@ -51,16 +51,16 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
 }
 
 
-def profile(collector: BaseCollector, fly: Row) -> tuple[dict[str, float], list[State]]:
+def profile(collector: BaseCollector, fly: Row) -> tuple[dict[str, float], list[FleetState]]:
     """Returns milliseconds per UAV step of each part of ``fly``, and states of its flights for the bare rows."""
-    states: list[State] = []
+    states: list[FleetState] = []
     stopwatch = Stopwatch(COLLECTOR)
     publish = Simulation._publish
 
     def publish_and_keep(simulation: Simulation) -> None:
         publish(simulation)
         kept = (simulation.position, simulation.lidar_position, simulation.rotation, simulation.velocity)
-        states.append(State(*(array.copy() for array in kept)))
+        states.append(FleetState(*(array.copy() for array in kept)))
 
     Simulation._publish = publish_and_keep  # type: ignore[method-assign, assignment]
     try:

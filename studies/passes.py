@@ -16,7 +16,7 @@ from uavrl.config import TrainConfig, compose, validate
 from uavrl.envs import NavigationEnv
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.policies import with_overrides
+from uavrl.evaluation.overrides import with_overrides
 from uavrl.transforms import PointCloudReduction
 from uavrl_onboard.perception.motion import OBJECT
 

@@ -17,7 +17,7 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli.suite import _changed
 from uavrl.config import EvaluateConfig, compose, validate
-from uavrl.evaluation.policies import choose
+from uavrl.evaluation.policy_setup import choose
 from uavrl.evaluation.recording import load_recording
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.guards.shield import Shield

@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from tests.helpers.commands import in_process
 from tests.helpers.configs import composed
 from uavrl.cli import evaluate, main, replay, train
-from uavrl.cli.help import ABOUT, MOST_USED, help_text
+from uavrl.cli.help import ABOUT, help_text
 from uavrl.cli.keys import known_keys
 
 
@@ -19,7 +19,7 @@ def test_help_fits_a_screen(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "100")
     lines = help_text(name).splitlines()
     assert len(lines) <= 50 and max(map(len, lines)) <= 100
-    assert all(any(line.startswith(f"  {key} ") for line in lines) for key in MOST_USED[name].split())
+    assert all(any(line.startswith(f"  {key} ") for line in lines) for key in ABOUT[name].most_used.split())
 
 
 @pytest.mark.parametrize("name", ["config", "evaluate"])

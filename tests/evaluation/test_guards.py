@@ -23,7 +23,8 @@ from uavrl.config.settings import EvaluateConfig
 from uavrl.envs import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env, with_sight
-from uavrl.evaluation.policies import PACKAGED, PolicySetup, choose, default_guards
+from uavrl.evaluation.policies import PACKAGED, default_guards
+from uavrl.evaluation.policy_setup import PolicySetup, choose
 from uavrl.transforms import Guarded
 from uavrl_onboard.guards.settings import GuardSettings, MapSettings, guard_settings
 from uavrl_onboard.guards.shield import Shield

@@ -17,7 +17,8 @@ from tests.helpers.recorded import LARGEST, SCANS, as_evaluated, evaluation, rec
 from uavrl.config import compose, validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.policies import PACKAGED, default_guards, packaged_policies, with_overrides
+from uavrl.evaluation.overrides import with_overrides
+from uavrl.evaluation.policies import PACKAGED, default_guards, packaged_policies
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.suite import scenarios
 from uavrl.export.export import contract

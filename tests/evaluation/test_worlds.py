@@ -19,7 +19,9 @@ from uavrl.envs import world as world_module
 from uavrl.envs.place import Place
 from uavrl.envs.rules import WorldRules
 from uavrl.errors import UavrlError
-from uavrl.evaluation.policies import PACKAGED, choose, output_name
+from uavrl.evaluation.overrides import output_name
+from uavrl.evaluation.policies import PACKAGED
+from uavrl.evaluation.policy_setup import choose
 from uavrl.evaluation.worlds import unseen_seeds, worlds_text
 from uavrl.runs.config import load_config
 from uavrl_onboard.values import to_plain

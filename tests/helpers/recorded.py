@@ -29,7 +29,8 @@ from uavrl.config import TrainConfig, compose, validate
 from uavrl.config.build import build
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.policies import PACKAGED, packaged_policies, with_overrides
+from uavrl.evaluation.overrides import with_overrides
+from uavrl.evaluation.policies import PACKAGED, packaged_policies
 from uavrl.evaluation.rollout import rollout
 from uavrl.policy_protocol import Acts
 from uavrl.transforms.icosahedron import truncated_icosahedron

@@ -99,7 +99,7 @@ def batch(size: int = 12) -> TensorDict:
 
 
 def statistics(loss: ActorCriticLoss) -> list[Tensor]:
-    return [each.clone() for each in loss.unwrapped.critic_parameters if not each.requires_grad]
+    return [each.clone() for each in loss.unwrapped.critic_tensors if not each.requires_grad]
 
 
 # ---------------------------------------------------------------------- the normalisation

@@ -15,7 +15,8 @@ from uavrl.config import EvaluateConfig, compose, validate
 from uavrl.config.build import find_class
 from uavrl.envs import Airframe
 from uavrl.evaluation.environment import make_env
-from uavrl.evaluation.policies import BASELINES, choose, named_policy
+from uavrl.evaluation.policies import BASELINES, named_policy
+from uavrl.evaluation.policy_setup import choose
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.planners.mppi import MPPI, STEPS, MPPIWeights, places_of
 from uavrl.planners.point_memory import PERIOD, THINNED, Planner, ScanMemory

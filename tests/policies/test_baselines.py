@@ -21,6 +21,7 @@ from uavrl.planners.point_memory import Planner
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights, keep_headway
 from uavrl.policy_protocol import AdaptedPolicy, PolicyModule
 from uavrl.transforms import NavigationState
+from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.reduction import Statistic
 from uavrl.transforms.state import REDUCTIONS
 from uavrl_onboard.perception.reductions import Reduction
@@ -169,11 +170,11 @@ def test_many_bounds_at_once_are_hardly_exceeded() -> None:
     towards = REDUCTIONS["range_image"].directions()
     velocity = 4.0 * torch.rand(200, 3, generator=generator) - 2.0
     speed = 3.0 * torch.rand(200, len(towards), generator=generator)
-    kept = keep_headway(velocity, towards, speed)
+    kept = call_numpy(keep_headway, velocity, towards, speed)
     assert ((velocity @ towards.T - speed).amax(-1) > 0.5).float().mean() > 0.9
     assert ((kept @ towards.T - speed).amax(-1) < 0.15).float().mean() > 0.95
     free = torch.full_like(speed, torch.inf)
-    assert torch.equal(keep_headway(velocity, towards, free), velocity)
+    assert torch.equal(call_numpy(keep_headway, velocity, towards, free), velocity)
 
 
 @pytest.mark.parametrize("seen", COSTS)

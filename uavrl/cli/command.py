@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,9 @@ from hydra.errors import ConfigCompositionException, HydraException, MissingConf
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
+from uavrl import __version__
 from uavrl.cli import BEGAN
-from uavrl.cli.help import ABOUT, EXAMPLES, show
+from uavrl.cli.help import ABOUT, help_text
 from uavrl.cli.keys import check_choices, known_keys
 from uavrl.cli.logs import configure_logging
 from uavrl.config import conf_dir
@@ -27,12 +28,12 @@ from uavrl.errors import UavrlError
 from uavrl.runs.clock import start_clock
 from uavrl.runs.shared_memory import shared_memory_explained
 from uavrl_onboard.cli.command import SLIP, refuse_option
+from uavrl_onboard.cli.help import show
 from uavrl_onboard.cli.process import command_process, one_sentence
 from uavrl_onboard.guards.command_line import KEY as GUARDS
 from uavrl_onboard.guards.command_line import join_guards
 from uavrl_onboard.sentences import did_you_mean
 
-LAUNCHERS = ("joblib", "submitit_local", "submitit_slurm")  # those that uavrl[launchers] brings
 _ENDED_JOBS = {"BrokenProcessPool", "UncompletedJobError"}  # of joblib and of submitit, which need not be there
 _first = [BEGAN]  # further commands, of tests for instance, begin when they are called
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
@@ -55,7 +56,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
                 shared_memory_explained(),
             ):  # also here: Hydra prints a line of its own about errors that it sees
                 choices = HydraConfig.get().runtime.choices
-                check_choices(choices, _command_line()[0])
+                check_choices(choices, _own_folders())
                 return function(with_choices(config, choices) if "env" in config else config)
 
         by_hydra = hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=name)(composed)
@@ -66,7 +67,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
             begun = False
             start_clock(_first.pop() if _first else None)
             with command_process():
-                if show(name):
+                if show(sys.argv[1:], f"uavrl {__version__}", partial(help_text, name)):
                     return
                 _refuse_options(name)
                 _read_texts()
@@ -102,10 +103,10 @@ def _explaining(name: str, begun: Callable[[], bool]) -> Iterator[None]:
 def explained(error: Exception, name: str) -> str:
     """What is wrong on the command line of the command whose configuration is ``conf/NAME.yaml``."""
     first = next(iter(str(error).splitlines()), type(error).__name__)
-    folders, overrides = _command_line()
+    about, folders = ABOUT[name], _own_folders()
     if isinstance(error, OverrideParseException):
-        example = f"{ABOUT[name][0]} {EXAMPLES[name][0]}"
-        how = f"as in {example}" if "=" not in str(error.override) else "and quotes around special characters"
+        example = f"as in {about.name} {about.examples[0]}"
+        how = example if "=" not in str(error.override) else "and quotes around special characters"
         return f"The override {error.override!r} cannot be read: write KEY=VALUE, {how}."
     if _ENDED_JOBS & {kind.__name__ for kind in type(error).__mro__}:
         return (
@@ -118,23 +119,23 @@ def explained(error: Exception, name: str) -> str:
         return f"{error.filename} cannot be written ({error.strerror}): {told}"
     if isinstance(error, MissingConfigException) and error.options and error.missing_cfg_file:
         group, choice = error.missing_cfg_file.rsplit("/", 1)
-        if group == "hydra/launcher" and choice in LAUNCHERS:
-            return f"{group}={choice} needs a plugin of Hydra: install it with pip install 'uavrl[launchers]'."
-        yours = "A choice of your own needs --config-dir FOLDER."
-        own = f"{folders[0]} has no {group}/{choice}.yaml." if folders else yours
+        own = "A choice of your own needs --config-dir FOLDER."
+        if folders:
+            own = f"{folders[0]} has no {group}/{choice}.yaml."
+        if group == "hydra/launcher":
+            own = "joblib, submitit_local and submitit_slurm come with pip install 'uavrl[launchers]'."
         near = did_you_mean(choice, error.options, ": ")
         return f"{group} must be one of {', '.join(error.options)}, got {choice!r}{near} {own}"
     if isinstance(error, ConfigCompositionException) and "Could not override '" in first:
         key = first.split("'")[-2].split("@")[0]
         if key == GUARDS:
             others = "give it to uavrl-train, uavrl-evaluate, uavrl-replay, uavrl-export or uavrl-fly"
-            return f"{ABOUT[name][0]} has no key 'guards': {others}."
+            return f"{about.name} has no key 'guards': {others}."
         return _no_such_key(key, known_keys(name, folders))
     if first.startswith("Ambiguous value for argument '"):
-        return _several_values(first.split("'")[1], name)
-    deleted = [override[1:] for override in overrides if override.startswith("~")]
-    if first.startswith("Error resolving interpolation") and deleted:
-        return f"~{deleted[0]} leaves out what other groups follow: choose one with {deleted[0]}=NAME."
+        key, _, values = first.split("'")[1].partition("=")
+        each = "or add -m to train with" if name == "config" else "and start the command once for"
+        return f"{key} got several values, {values}: give one, {each} each of them. A list is written {key}=[{values}]."
     if isinstance(error, AssertionError):
         return "An override changes something below a key that has nothing below it: --help=all lists all keys."
     if first.startswith("Additional config directory"):  # Hydra's words for a folder that is not there
@@ -160,7 +161,7 @@ def _no_such_key(key: str, known: list[str]) -> str:
 
 def _refuse_options(name: str) -> None:
     """Refuses options that Hydra does not know, such as ``--output FILE``, at which it would print all of its own."""
-    command, parser = ABOUT[name][0], get_args_parser()
+    command, parser = ABOUT[name].name, get_args_parser()
     parser.exit_on_error = False
     try:
         others = parser.parse_known_args(sys.argv[1:])[1]
@@ -182,23 +183,12 @@ def _read_texts() -> None:
     sys.argv[1:] = [*options, *map(readable, join_guards(overrides))]
 
 
-def _several_values(override: str, name: str) -> str:
-    """Why one key cannot have several values, and what to write."""
-    key, _, values = override.partition("=")
-    each = (
-        "or add -m to train with each of them"
-        if ABOUT[name][0] == "uavrl-train"
-        else "and start the command once for each of them"
-    )
-    return f"{key} got several values, {values}: give one, {each}. A list is written {key}=[{values}]."
-
-
-def _command_line() -> tuple[list[Path], list[str]]:
-    """The user's folders of yaml files, and the overrides."""
+def _own_folders() -> list[Path]:
+    """Return the user's folders of yaml files: none or one."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--config-dir", "-cd", type=Path)
-    known, others = parser.parse_known_args(sys.argv[1:])
-    return [known.config_dir] if known.config_dir else [], [each for each in others if not each.startswith("-")]
+    given = parser.parse_known_args(sys.argv[1:])[0].config_dir
+    return [given] if given else []
 
 
 def given_overrides() -> list[str]:

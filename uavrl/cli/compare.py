@@ -27,7 +27,8 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import require_policy
 from uavrl.runs.episodes import LETTERS, outcomes_of, success_text, wilson
 from uavrl.runs.progress_line import ProgressLine
-from uavrl_onboard.cli.command import About, command
+from uavrl_onboard.cli.command import command
+from uavrl_onboard.cli.help import About
 from uavrl_onboard.cli.process import one_sentence
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.ranges import Count, Folder

@@ -16,16 +16,9 @@ from uavrl.cli.command import command, given_overrides
 from uavrl.cli.suite import evaluate_suite
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.command_line import command_line, override
-from uavrl.evaluation.policies import (
-    PLAIN_KEYS,
-    PolicySetup,
-    choose,
-    output_name,
-    policy_folder,
-    require_fit,
-    require_named,
-    result_overrides,
-)
+from uavrl.evaluation.overrides import PLAIN_KEYS, output_name, result_overrides
+from uavrl.evaluation.policies import policy_folder, require_named
+from uavrl.evaluation.policy_setup import PolicySetup, choose, require_fit
 from uavrl.runs.provenance import processor, versions
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.pluralize import pluralize

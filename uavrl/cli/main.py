@@ -3,8 +3,9 @@
 import sys
 from importlib import import_module
 
+from uavrl import __version__
 from uavrl.cli.compare import ABOUT as COMPARE
-from uavrl.cli.help import ABOUT, show_version
+from uavrl.cli.help import ABOUT
 from uavrl.errors import UavrlError
 from uavrl_onboard.cli.check import ABOUT as CHECK
 from uavrl_onboard.cli.fly import ABOUT as FLY
@@ -12,8 +13,7 @@ from uavrl_onboard.cli.process import command_process
 from uavrl_onboard.cli.scan import ABOUT as SCAN
 from uavrl_onboard.sentences import did_you_mean
 
-_ABOUT = [*ABOUT.values(), COMPARE[:2], SCAN[:2], CHECK[:2], FLY[:2]]
-COMMANDS = {command.removeprefix("uavrl-"): about for command, about in _ABOUT}
+COMMANDS = {about.name.removeprefix("uavrl-"): about.summary for about in (*ABOUT.values(), COMPARE, SCAN, CHECK, FLY)}
 ON_BOARD = ("scan", "check", "fly")  # commands of uavrl-onboard
 
 
@@ -25,10 +25,10 @@ def main() -> None:
 
 def _run(name: str, *rest: str) -> None:
     if name in ("--version", "-V"):
-        show_version()
+        print(f"uavrl {__version__}")
     elif name in ("--help", "-h", "help"):
         print("uavrl: trains a quadrotor to fly to a goal through a cluttered valley with a LiDAR.\n")
-        print("\n".join(f"  uavrl {command:<10}{about}" for command, about in COMMANDS.items()))
+        print("\n".join(f"  uavrl {command:<10}{summary}" for command, summary in COMMANDS.items()))
         print("\nuavrl COMMAND --help explains a command. To watch a trained policy: uavrl replay policy=best")
     else:
         if name not in COMMANDS:

@@ -14,7 +14,9 @@ from uavrl.config import validate
 from uavrl.config.command_line import command_line
 from uavrl.config.settings import FlyingConfig
 from uavrl.errors import UavrlError
-from uavrl.evaluation.policies import choose, output_name, policy_folder, require_named, result_overrides
+from uavrl.evaluation.overrides import output_name, result_overrides
+from uavrl.evaluation.policies import policy_folder, require_named
+from uavrl.evaluation.policy_setup import choose
 from uavrl.evaluation.worlds import UNSEEN
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.files import writable

@@ -20,7 +20,8 @@ from uavrl.cli.logs import configure_logging
 from uavrl.config import EvaluateConfig
 from uavrl.config.yaml_files import compose_again
 from uavrl.errors import UavrlError, was_interrupted
-from uavrl.evaluation.policies import file_of_policy, output_name, policy_folder, result_overrides
+from uavrl.evaluation.overrides import output_name, result_overrides
+from uavrl.evaluation.policies import file_of_policy, policy_folder
 from uavrl.evaluation.worlds import TRAINING
 from uavrl.runs.episodes import outcomes_of, success_text
 from uavrl.runs.interrupts import interrupts_held_back

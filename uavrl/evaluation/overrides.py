@@ -1,15 +1,20 @@
-"""What a command line, or a program, may change where a trained policy flies."""
+"""What overrides may change where a trained policy flies, and the names of results that they give."""
 
-from collections.abc import Collection, Iterable, Mapping
+import hashlib
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
 from uavrl.config.build import TARGET, arguments, find_class
 from uavrl.errors import UavrlError
+from uavrl.runs.names import LONGEST_NAME
 
 # What may be changed for a trained policy, and blind_to: it reads the same numbers, of another sensor or another goal.
 OF_SENSOR = ("perception.lidar.", "perception.blind")
+# Keys of an evaluation that do not say which policy was evaluated in which tasks.
+PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
 
 
 def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str) -> None:
@@ -54,8 +59,22 @@ def require_sensor_alone(keys: Iterable[str], groups: Collection[str], owner: st
 
 
 def keys_of(overrides: Iterable[str]) -> list[str]:
-    """The key of each override."""
+    """Return the key of each override."""
     return [override.split("=", 1)[0] for override in overrides]
+
+
+def result_overrides(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
+    """Return the overrides whose keys are not ``plain``, which distinguish a result from others."""
+    return [override for override in overrides if override.split("=")[0] not in plain]
+
+
+def output_name(stem: str, overrides: Sequence[str]) -> str:
+    """Return a file name without suffix that contains the overrides."""
+    told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
+    name = "_".join([stem, *told])
+    if len(name) <= LONGEST_NAME:
+        return name
+    return f"{name[:LONGEST_NAME]}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
 
 
 def _require_env_of_policy(run: DictConfig) -> None:

@@ -1,45 +1,31 @@
-"""What evaluation and replay share: which policy acts in which environment, and what its results are called."""
+"""The policies that a command line or a program can name: packaged ones, runs, exported folders, baselines, classes."""
 
 from __future__ import annotations
 
-import hashlib
 import inspect
-import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
-from uavrl.config import TrainConfig, validate
 from uavrl.config.build import TARGET, build, find_class
 from uavrl.config.context import CONTEXT
-from uavrl.config.parts import Part
-from uavrl.config.settings import EvaluateConfig, FlyingConfig
 from uavrl.errors import UavrlError
-from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
-from uavrl.evaluation.worlds import TRAINING, UNSEEN, unseen_seeds, without_variety
 from uavrl.runs.config import read_config
-from uavrl.runs.labels import label
-from uavrl.runs.names import LONGEST_NAME
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.policy.contract import CONTRACT, read_contract
 from uavrl_onboard.sentences import did_you_mean
 
 if TYPE_CHECKING:
-    import torch
-    from torchrl.envs import EnvBase
-
     from uavrl.evaluation.loaded import LoadedPolicy
     from uavrl.policy_protocol import TensorDictPolicy
 
-PACKAGED = Path(__file__).parents[1] / "policies" / "data"  # what `policy=NAME` names, beside the baselines
-SENSOR = "perception.lidar.sensor"
-EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # what flies a folder; its room knows this one
+PACKAGED = Path(__file__).parents[1] / "policies" / "data"  # the folders of the packaged policies
+EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # A string, because its room imports this one.
 BASELINES = {
     "straight": "uavrl.policies.baselines.StraightPolicy",
     "vfh": "uavrl.policies.baselines.VectorFieldHistogram",
@@ -52,191 +38,14 @@ BASELINES = {
 }
 """The classes of the policies that learn nothing, by the name that chooses them on the command line."""
 
-# Keys of an evaluation that do not say which policy was evaluated in which tasks.
-PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
-
-
-@dataclass(frozen=True)
-class PolicySetup:
-    """A policy and its environment."""
-
-    policy: TensorDictPolicy
-    env: Part
-    perception: Part
-    reward: Part
-    choices: Mapping[str, str]  # the yaml file of each part
-    source: dict[str, Any]  # what a result says about the policy
-    run: TrainConfig | None = None  # where it comes from, with what the command line changed; None for a baseline
-    guards: GuardSettings = field(default_factory=GuardSettings)  # between the policy and the environment
-
-    @property
-    def env_options(self) -> dict[str, Any]:
-        """Options of :func:`~uavrl.evaluation.environment.make_env`: guards, and what makes it emit the ``in_keys``."""
-        read = self.policy.in_keys
-        return {
-            "keep_cloud": "point_cloud" in read,
-            "mark_resets": "is_init" in read,
-            "recurrent_state": self.policy.recurrent_state,
-            "guards": self.guards,
-            "policy_reads": read,
-        }
-
-
-def choose(
-    settings: FlyingConfig, config: DictConfig, overrides: list[str], folder: Path | None, device: torch.device
-) -> PolicySetup:
-    """Loads what the command line asks for."""
-    from uavrl.evaluation.actor import read_policy
-
-    if "env.num_uavs" in keys_of(overrides):
-        instead = "write num_uavs=N" if isinstance(settings, EvaluateConfig) else "a replay flies one vehicle"
-        raise UavrlError(f"env.num_uavs is set by the command itself: leave it out, {instead}.")
-    if folder is None:
-        require_valley(settings.env, settings.choices, "policy")
-        context = {**settings.perception, "flight_level": settings.env.world.flight_level}
-        context["airframe"] = settings.env.get("airframe")
-        policy = named_policy(str(settings.policy), context, settings.packages, settings.vecnormalize)
-        settings = _as_contracted(policy, settings, config, overrides)
-        parts = (settings.env, settings.perception, settings.reward, settings.choices)
-        chosen = PolicySetup(policy, *parts, {"policy": settings.policy})
-    else:
-        policy = read_policy(folder, settings.checkpoint, device, settings.packages)
-        changed = with_overrides(policy.config, config, overrides)
-        if settings.valleys != TRAINING:
-            changed = without_variety(changed, config, keys_of(overrides))
-        run = validate(changed)
-        chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, dict(policy.source), run)
-        chosen.source["label"] = f"{label(run.choices)}, seed {run.seed}"
-        trained, flown = policy.config.env.get("world"), changed.env.get("world")
-        if trained is not None and flown is not None and trained.get(TARGET) == flown.get(TARGET):
-            chosen.source["training_valleys"] = list(trained.seeds)
-    chosen = _in_view(chosen, settings, policy)
-    _choose_valleys(chosen, settings, keys_of(overrides))
-    return _guarded(chosen, settings, keys_of(overrides), default_guards(folder, policy))
-
-
-def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collection[str]) -> None:
-    """Puts the valleys that the command line asks for into the environment, or else those that no training used."""
-    foreign = chosen.run is not None and "training_valleys" not in chosen.source
-    if settings.valleys == TRAINING and foreign and "world" in chosen.env and chosen.env.world.VARIES:
-        raise UavrlError(
-            f"valleys=training asks for the worlds of the training, and env={chosen.choices.get('env')} is of another "
-            "kind: leave valleys out, or give a list of seeds."
-        )
-    if settings.valleys == TRAINING or (settings.valleys == UNSEEN and "env.world.seeds" in given):
-        return
-    if settings.valleys != UNSEEN:
-        require_valley(chosen.env, chosen.choices, "valleys")
-    if "world" in chosen.env and (chosen.env.world.VARIES or settings.valleys != UNSEEN):
-        unseen = unseen_seeds(chosen.source.get("training_valleys", ()))
-        seeds = unseen if settings.valleys == UNSEEN else settings.valleys
-        chosen.env["world"] = replace(chosen.env.world, seeds=seeds)
-
-
-def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPolicy) -> PolicySetup:
-    """The same policy, whose LiDAR has been found to see its cells; its source says which LiDAR is another one."""
-    from uavrl.evaluation.field_of_view import TRAINED_WITH, check_field_of_view, trained_sensor
-
-    if (lidar := chosen.perception.get("lidar")) is None:
-        return chosen
-    trained_with = None
-    if chosen.run is not None:
-        trained_with = trained_sensor(policy.config)  # type: ignore[attr-defined]  # of a run it is a LoadedPolicy
-    elif policy.overrides is not None:
-        trained_with = policy.overrides.get(SENSOR, TRAINED_WITH)
-    allowed = settings.allow_unseen
-    unseen = check_field_of_view(chosen.perception, trained_with, settings.packages, allowed=allowed)
-    if lidar.device.name == TRAINED_WITH:
-        return chosen
-    return replace(chosen, source={**chosen.source, "lidar": lidar.device.name, "unseen_cells": unseen})
-
-
-def default_guards(folder: Path | None, policy: TensorDictPolicy | None = None) -> GuardSettings:
-    """Return the guards that a policy flies with by default: those of its contract, or those of its training."""
-    if folder is not None and (folder / CONTRACT).is_file():
-        return read_contract(folder).guard_settings
-    if policy is None:
-        return GuardSettings() if folder is None else guard_settings(read_config(folder).get("guards"))
-    return policy.guards
-
-
-def _guarded(
-    chosen: PolicySetup, settings: FlyingConfig, given: Collection[str], default: GuardSettings
-) -> PolicySetup:
-    """The same policy behind the guards that the command line asks for, or else its own."""
-    from uavrl.evaluation.environment import with_sight
-
-    valley = "world" in chosen.env
-    guards = guard_settings(settings.guards, default if valley else GuardSettings())
-    if not guards.names:
-        return chosen
-    require_valley(chosen.env, chosen.choices, "guards")
-    if guards.map is not None and chosen.policy.has_map:
-        raise UavrlError(
-            f"policy={chosen.source['policy']} has a map of its own, which contradicts the map among its guards: write "
-            "guards=[evasion,shield], or choose another policy."
-        )
-    about = {**chosen.source, "guards": guards.plain()}
-    perception = with_sight(chosen.perception, guards, given)
-    return replace(chosen, guards=guards, source=about, perception=Part(perception))
-
-
-def _as_contracted(
-    policy: TensorDictPolicy, settings: FlyingConfig, config: DictConfig, overrides: list[str]
-) -> FlyingConfig:
-    """The settings with the perception and the sensor of an exported policy; as they are for any other."""
-    if policy.overrides is None:
-        return settings
-    config = config.copy()
-    given = keys_of(overrides)
-    require_sensor_alone(given, ("perception",), "policy")
-    for key, value in policy.overrides.items():
-        if key not in given and OmegaConf.select(config, key.rpartition(".")[0]) is not None:
-            OmegaConf.update(config, key, value, merge=False)
-    return validate(config, type(settings))
-
-
-def require_fit(chosen: PolicySetup, env: EnvBase) -> None:
-    """Refuses a run's policy that reads or writes other numbers than an environment has, before the first step."""
-    import torch
-
-    if chosen.run is None:
-        return
-    try:
-        with torch.no_grad(), torch.random.fork_rng(devices=[]):
-            written = tuple(chosen.policy(env.fake_tensordict())["action"].shape)
-        wanted = tuple(env.full_action_spec["action"].shape)
-        reason = None if written == wanted else f"it writes actions of shape {written}, not {wanted}"
-    except (RuntimeError, KeyError) as error:
-        reason = next(iter(str(error).splitlines()), type(error).__name__)
-    if reason is not None:
-        raise UavrlError(
-            f"The policy and env={chosen.choices.get('env')} do not go together ({reason}): leave env out, or choose "
-            f"another policy."
-        )
-
-
-def result_overrides(overrides: Sequence[str], plain: Collection[str] = PLAIN_KEYS) -> list[str]:
-    """The overrides of a command line whose keys are not plain: those by which its result differs from another one."""
-    return [override for override in overrides if override.split("=")[0] not in plain]
-
-
-def output_name(stem: str, overrides: Sequence[str]) -> str:
-    """A file name without suffix in which the overrides stand."""
-    told = [re.sub(r"[^\w.=-]+", "-", override).replace("=-", "=").strip("-") for override in overrides]
-    name = "_".join([stem, *told])
-    if len(name) <= LONGEST_NAME:
-        return name
-    return f"{name[:LONGEST_NAME]}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
-
 
 def packaged_policies() -> list[str]:
-    """The names of the policies that come with the package."""
+    """Return the names of the policies that come with the package."""
     return sorted(path.parent.name for path in PACKAGED.glob(f"*/{POLICY.json}"))
 
 
 def policy_folder(run: str | None, policy: str | None) -> Path | None:
-    """Where the policy lies that the command line names: a run, or a packaged policy; None for a baseline."""
+    """Return the folder of the run or of the packaged policy that a command line names; None for any other policy."""
     if (run is None) == (policy is None):
         raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
     if run is not None:
@@ -245,7 +54,7 @@ def policy_folder(run: str | None, policy: str | None) -> Path | None:
 
 
 def require_policy(name: object) -> None:
-    """Refuses a name that means no policy; loads no torch."""
+    """Refuse a name that means no policy, without importing PyTorch."""
     names = [*BASELINES, *packaged_policies()]
     if isinstance(name, str) and name not in names and "." not in name and exported_folder(name) is None:
         hint = (
@@ -255,7 +64,7 @@ def require_policy(name: object) -> None:
 
 
 def require_named(config: DictConfig) -> None:
-    """The same of what a command line says; a value that cannot be read is told where all others are."""
+    """Refuse a policy of a configuration that does not exist; validation reports a value that cannot be read."""
     with suppress(OmegaConfBaseException):
         require_policy(config.policy)
 
@@ -268,20 +77,20 @@ def load_policy(
     packages: Iterable[str] = (),
     guards: Any = None,
 ) -> LoadedPolicy:
-    """Loads a trained policy: it reads what an environment emits, and writes ``action``.
+    """Load a trained policy, which reads what an environment emits, and writes ``action``.
 
     Environments for it come from :meth:`~uavrl.evaluation.loaded.LoadedPolicy.make_env`.
 
     Args:
         policy: the name of a packaged policy (``"best"``), the folder of a run, or one that ``uavrl-export`` wrote.
         checkpoint: the file of one of a run's checkpoints; None: the newest.
-        device: where the network is computed: ``cpu``, ``cuda``, ``cuda:<index>`` or ``auto``.
-        packages: whose code may be executed because the run names their classes.
-        guards: those of the environments that its ``make_env`` makes: ``"all"``, ``"none"``, a list of names, or as
-            :func:`~uavrl_onboard.guards.settings.guard_settings` reads it. None: as its contract says.
+        device: the device that computes the network: ``cpu``, ``cuda``, ``cuda:<index>`` or ``auto``.
+        packages: the packages whose code may be executed, because the run names their classes.
+        guards: the guards of the environments that its ``make_env`` makes: ``"all"``, ``"none"``, a list of names, or
+            any other value of :func:`~uavrl_onboard.guards.settings.guard_settings`. None: the guards of its contract.
 
     Raises:
-        UavrlError: where there is no such policy, or its files are damaged, and for an unknown guard.
+        UavrlError: if there is no such policy, its files are damaged, or a guard is unknown.
 
     Examples:
         >>> policy = load_policy("best")
@@ -303,14 +112,28 @@ def load_policy(
     return loaded
 
 
+def default_guards(folder: Path | None, policy: TensorDictPolicy | None = None) -> GuardSettings:
+    """Return the guards that a policy flies with by default: those of its contract, or those of its training."""
+    if folder is not None and (folder / CONTRACT).is_file():
+        return read_contract(folder).guard_settings
+    if policy is None:
+        return GuardSettings() if folder is None else guard_settings(read_config(folder).get("guards"))
+    return policy.guards
+
+
 def named_policy(
     name: str, told: Mapping[str, Any], packages: Sequence[str], vecnormalize: str | None = None
 ) -> TensorDictPolicy:
-    """A policy that is no run: a baseline, a ``.zip`` of Stable-Baselines3, or a ``PACKAGE.MODULE.CLASS``.
+    """Return a policy that is not a run: a baseline, an exported folder, a ``.zip`` of SB3, or a class.
 
-    Of ``told``, ``flight_level``, ``airframe`` and what perception says (``radius``, …), a baseline is given what its
-    constructor names, any other class the ``flight_level``. Opening a ``.zip`` can run programs: ``packages`` must name
-    ``stable_baselines3``; ``vecnormalize`` is the file of its statistics. A folder is one that ``uavrl-export`` wrote.
+    Args:
+        name: the name of a baseline; a folder that ``uavrl-export`` wrote; a ``.zip`` of Stable-Baselines3; or
+            ``PACKAGE.MODULE.CLASS``.
+        told: ``flight_level``, ``airframe`` and the keys of perception, such as ``radius``. A baseline receives those
+            that its constructor names, any other class the ``flight_level``.
+        packages: the packages whose code may be executed. Opening a ``.zip`` can run programs, so ``packages`` must
+            contain ``stable_baselines3``.
+        vecnormalize: the file with the statistics of the ``.zip``.
     """
     from uavrl.policy_protocol import as_policy
 
@@ -335,19 +158,19 @@ def named_policy(
 
 
 def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
-    """Says which names a policy may have, and how to name one of one's own."""
+    """Return an error with the names that a policy may have, and how to name your own."""
     near = did_you_mean(name, names, ": ", own)
     return UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{near}")
 
 
 def exported_folder(name: str) -> Path | None:
-    """The folder of an exported policy that a name means; None for a name of another kind."""
+    """Return the folder of an exported policy that a name means; None for a name of another kind."""
     path = Path(name).expanduser() if name.startswith("~/") else Path(name)
     return path if "/" in name or path.is_dir() else None
 
 
 def file_of_policy(name: str, packages: Sequence[str]) -> Path | None:
-    """The file that a policy of :func:`named_policy` comes from; None for a baseline, and where there is none."""
+    """Return the file that a policy of :func:`named_policy` comes from; None for a baseline, or without a file."""
     path = Path(name)
     if path.suffix != ".zip":
         if (folder := exported_folder(name)) is not None:

@@ -41,7 +41,7 @@ class ActorCriticLoss(_LossModule):
     """True if the critics may have inputs that the actor does not have, such as a memory of their own."""
 
     has_targets: ClassVar[bool] = True
-    """Whether target networks follow the others."""
+    """True if target networks follow the others."""
 
     learns_from_sequences: ClassVar[bool] = False
     """True if batches contain windows of episodes instead of transitions, as in :class:`~uavrl.losses.SequenceLoss`."""
@@ -129,13 +129,13 @@ class ActorCriticLoss(_LossModule):
         return getattr(self, f"{self.critic_name}_params")
 
     @property
-    def actor_parameters(self) -> list[Tensor]:
-        """The parameters that the actor's optimiser updates."""
+    def actor_tensors(self) -> list[Tensor]:
+        """The parameters that the actor's optimiser updates, and the buffers that its loss may change."""
         return [value for value in self.actor_network_params.values(True, True) if isinstance(value, Tensor)]
 
     @property
-    def critic_parameters(self) -> list[Tensor]:
-        """The parameters that the critics' optimiser updates."""
+    def critic_tensors(self) -> list[Tensor]:
+        """The parameters that the critics' optimiser updates, and the buffers that their loss may change."""
         return [value for value in self.critic_network_params.values(True, True) if isinstance(value, Tensor)]
 
     def states(self, batch: TensorDictBase) -> TensorDictBase:

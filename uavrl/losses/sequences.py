@@ -89,14 +89,14 @@ class SequenceLoss(ActorCriticLoss, nn.Module):
         return self.loss.critic_network_params
 
     @property
-    def actor_parameters(self) -> list[Tensor]:
-        """The parameters of actor and memory."""
-        return [*self.loss.actor_parameters, *self.actor_memory.parameters()]
+    def actor_tensors(self) -> list[Tensor]:
+        """The parameters and buffers of the actor, and the parameters of its memory."""
+        return [*self.loss.actor_tensors, *self.actor_memory.parameters()]
 
     @property
-    def critic_parameters(self) -> list[Tensor]:
-        """The parameters of critics and memory."""
-        return [*self.loss.critic_parameters, *self.critic_memory.parameters()]
+    def critic_tensors(self) -> list[Tensor]:
+        """The parameters and buffers of the critics, and the parameters of their memory."""
+        return [*self.loss.critic_tensors, *self.critic_memory.parameters()]
 
     def observe(self, episodes: TensorDictBase) -> None:
         """Show whole new episodes ``[T]`` to the actor penalties."""

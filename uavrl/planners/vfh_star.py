@@ -1,4 +1,4 @@
-"""A vector field histogram with memory and a look ahead: a rival of what is learned."""
+"""VFH*, a vector field histogram with a memory of points and a look-ahead tree, to compare learned policies with."""
 
 import math
 from dataclasses import dataclass
@@ -19,57 +19,58 @@ from uavrl_onboard.perception.motion.threats import LAG
 from uavrl_onboard.ranges import Positive
 from uavrl_onboard.vehicle import VEHICLE, Hull
 
-ELEVATIONS = (-0.5, 0.0, 0.5)  # rad, of the directions
-AZIMUTHS, AZIMUTHS_BEYOND = 24, 12  # of the first directions, and of those from a node
-BLENDED = math.cos(0.3)  # directions within this angle, in rad, of the best one are blended with it
-OUTSIDE = 5.0  # cost of a metre beyond the altitudes in which one may fly
+ELEVATIONS = (-0.5, 0.0, 0.5)  # elevations of the directions, rad
+AZIMUTHS, AZIMUTHS_BEYOND = 24, 12  # number of azimuths of the first directions, and of the directions from a node
+BLENDED = math.cos(0.3)  # The best direction is blended with those within 0.3 rad of it.
+OUTSIDE = 5.0  # cost of each metre outside the allowed altitudes
 
 
 @dataclass(frozen=True)
 class VFHStarWeights:
-    """What a direction costs a :class:`VFHStar`, and how fast it is flown.
+    """The costs of a direction for a :class:`VFHStar`, and the numbers that determine its speed.
 
-    The numbers are first guesses, of which one was corrected by watching 32 tasks in valleys 200 to 209. Of 24 settings
-    that ``python studies/tune_rivals.py vfh_star`` flew there none was clearly better: 46 of 48 tasks with these, 47
-    with the best two.
+    The numbers are first guesses. We corrected one of them after watching 32 tasks in valleys 200 to 209. We then ran
+    ``python studies/tune_rivals.py vfh_star``, which tries 24 settings there, and none was clearly better: these
+    succeed in 46 of 48 tasks, and the best two settings in 47.
     """
 
-    blocked: float = 5.0  #: cost of a direction in which the hull would meet something at once
-    obstacle: float = 2.0  #: cost of a direction that passes something as near as may be, at once
+    blocked: float = 5.0  #: cost of a direction in which the hull would hit an obstacle at once
+    obstacle: float = 2.0  #: cost of a direction that at once passes an obstacle at the smallest allowed distance
     goal: float = 1.0  #: cost of a direction that leads away from the goal
-    level: float = 0.3  #: cost of a metre off the flight level after a step of the look-ahead
-    change: float = 0.2  #: cost of a direction away from the one before
-    near: float = 0.15  #: m that are kept between hull and obstacle
-    far: float = 0.7  #: m between hull and obstacle from which on it costs nothing
-    reach: float = 3.0  #: m ahead up to which an obstacle costs
-    soon: float = 1.0  #: power of the share of the reach that is left; the greater, the less far things count
-    step: float = 1.0  #: m from node to node
-    discount: float = 0.8  #: of the cost of each further step
-    caution: float = 0.5  #: share of the speed that is left out where an obstacle is near
-    brake: float = 0.5  #: s, share of the free way that it flies in a second; it could stop in twice that
+    level: float = 0.3  #: cost of each metre off the flight level after a step of the look-ahead
+    change: float = 0.2  #: cost of a direction that leads away from the previous one
+    near: float = 0.15  #: distance to keep between hull and obstacle, m
+    far: float = 0.7  #: distance between hull and obstacle beyond which the obstacle costs nothing, m
+    reach: float = 3.0  #: distance ahead beyond which an obstacle costs nothing, m
+    soon: float = 1.0  #: exponent of the remaining share of the reach; the larger, the less distant obstacles count
+    step: float = 1.0  #: distance between nodes, m
+    discount: float = 0.8  #: factor on the cost of each further step
+    caution: float = 0.5  #: share of the speed that it gives up beside a near obstacle
+    brake: float = 0.5  #: time in which it would fly the free distance ahead, s; it can stop in twice that time
 
 
 class LineClearances(NamedTuple):
-    """What lies on lines from S starts in D directions, ``[S, D]`` each."""
+    """The obstacles on lines from S starts in D directions, ``[S, D]`` each."""
 
-    threat: Tensor  #: how near the nearest obstacle is, beside the line and ahead, in [0, 1]
-    free: Tensor  #: m until the hull comes within half the distance to keep of something, at most the reach
+    threat: Tensor  #: nearness of the nearest obstacle, beside the line and along it, in [0, 1]
+    free: Tensor  #: distance, m, at which the hull is within half of ``near`` of an obstacle; at most the reach
 
 
 def look_along(
     points: Tensor, starts: Tensor, directions: Tensor, costs: VFHStarWeights, hull: Hull = VEHICLE.hull
 ) -> LineClearances:
-    """What the hull of one vehicle would meet on straight lines, each obstacle enlarged by the hull and a distance.
+    """Return what the hull of one vehicle would hit on straight lines, with obstacles enlarged by hull and distance.
 
-    Source: Ulrich and Borenstein (1998), VFH+: an obstacle at distance d fills all directions within
-    asin((r + d_s) / d); here without cells. The hull is flat: heights are stretched until it is as high as wide.
+    Source: Ulrich and Borenstein (1998), VFH+. There, an obstacle at distance d blocks all directions within
+    asin((r + d_s) / d). Here there are no cells. The hull is flat, so heights are stretched until it is as high as it
+    is wide.
 
     Args:
-        points: obstacles, ``[P, 3]`` m.
-        starts: of the lines, ``[S, D, 3]``, or ``[S, 1, 3]`` for all directions, m.
+        points: the obstacles, ``[P, 3]`` m.
+        starts: the starts of the lines, ``[S, D, 3]``, or ``[S, 1, 3]`` for all directions, m.
         directions: unit vectors ``[D, 3]``.
-        costs: distances to keep.
-        hull: its radius, and half its height, m.
+        costs: contain the distances to keep.
+        hull: the radius of the hull, and half its height, m.
 
     Examples:
         >>> ahead, origin = torch.tensor([[1.0, 0.0, 0.0]]), torch.zeros(1, 1, 3)
@@ -94,25 +95,27 @@ def look_along(
 
 
 class VFHStar(Planner):
-    """Looks some steps ahead through the obstacles of the last seconds, and flies the first step of the best way.
+    """Plan some steps ahead among the obstacles of the last seconds, and fly the first step of the best path.
 
-    Each direction costs what stands in it, its angle to the goal, to the one before and its height. In each azimuth
-    the cheapest is followed to a node, whose directions cost likewise, and of which the cheapest is followed again: the
-    tree has 24 branches, which do not fork. VFH* follows all free directions from each node, until one way is best.
+    The cost of a direction depends on its obstacles, its angles to the goal and to the previous direction, and its
+    height. In each azimuth, the planner follows the cheapest direction to a node. From there it follows the cheapest
+    direction again. The tree therefore has 24 branches that do not fork. The original VFH* follows all free directions
+    from each node until one path is best.
 
     Sources: Baumann (2018), Obstacle avoidance for drones using a 3DVFH* algorithm, for three dimensions and the
-    memory of points; Ulrich and Borenstein (2000), VFH*, for the look-ahead. It knows no distance to the
-    goal, only its direction, as the policies do. The first line begins where the vehicle's own speed carries it.
+    memory of points; Ulrich and Borenstein (2000), VFH*, for the look-ahead. Like the policies, the planner receives
+    the direction of the goal and not its distance. The first line begins where the vehicle's velocity will have carried
+    it when the command takes effect.
 
     Args:
-        flight_level: altitude to hold where nothing is in the way, m.
-        radius: how far it sees, m; what lies farther is not used.
-        seconds: for which obstacles are remembered.
-        motion: how far moving objects are looked for, as in :class:`uavrl.transforms.NavigationState`, to keep out of
-            their ways; None: what moves is taken for standing.
-        depth: steps that are looked ahead.
-        costs: None for the ones above.
-        airframe: whose hull and LiDAR it reckons with; None for the default one.
+        flight_level: altitude to hold if nothing is in the way, m.
+        radius: distance up to which it uses points, m.
+        seconds: how long obstacles are remembered, s.
+        motion: distance up to which moving obstacles are detected and avoided, as in
+            :class:`uavrl.transforms.NavigationState`; None: they are treated as static.
+        depth: number of steps to look ahead.
+        costs: None for the defaults of :class:`VFHStarWeights`.
+        airframe: the airframe whose hull and LiDAR it assumes; None for the default one.
         max_speed: limit of each component of the velocity, m/s.
 
     Examples:
@@ -142,15 +145,15 @@ class VFHStar(Planner):
         self.directions = torch.from_numpy(grid_directions(AZIMUTHS, ELEVATIONS)).float()
         self._beyond = torch.from_numpy(grid_directions(AZIMUTHS_BEYOND, ELEVATIONS)).float()
         self._close = self.directions @ self.directions.T > BLENDED
-        self._flown = torch.zeros(0, 3, dtype=torch.float32)  # unit vectors, which way was flown last; 0 for none
+        self._flown = torch.zeros(0, 3, dtype=torch.float32)  # previous directions, as unit vectors; 0 for none
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
-        """The velocities of the best ways' first steps, and yaw rates to the goal."""
+        """Return the velocities of the first steps of the best paths, and yaw rates towards the goal."""
         if len(self._flown) != len(seen.fresh):
             self._flown = torch.zeros(len(seen.fresh), 3, dtype=torch.float32)
         self._flown = self._flown.masked_fill(seen.fresh, 0.0)
         forward = seen.velocity @ self.directions.T
-        start = LAG * (seen.velocity[:, None] - forward[..., None] * self.directions)  # [N, D, 3]: where lines begin
+        start = LAG * (seen.velocity[:, None] - forward[..., None] * self.directions)  # starts of the lines, [N, D, 3]
         lines = self._look(seen.points, start[:, None], self.directions)
         height = seen.altitude + start[..., 2] + self.costs.step * self.directions[:, 2]
         cost = self._cost(lines, self.directions, seen.goal, height, self._flown[:, None])
@@ -159,23 +162,26 @@ class VFHStar(Planner):
         return speed * way, seen.turn
 
     def _look(self, points: list[Tensor], starts: Tensor, directions: Tensor) -> LineClearances:
-        """What lies on lines from ``starts [N, S, D, 3]``: ``[N * S, D]``, vehicle by vehicle, which a cache holds."""
+        """Return the obstacles on lines from ``starts [N, S, D, 3]``: ``[N * S, D]``.
+
+        One vehicle at a time is computed, so that its intermediate results fit into the processor's cache.
+        """
         each = [
             look_along(*pair, directions, self.costs, self.vehicle.hull) for pair in zip(points, starts, strict=True)
         ]
         return LineClearances(*(torch.cat(told) for told in zip(*each, strict=True)))
 
     def _cost(self, lines: LineClearances, directions: Tensor, goal: Tensor, height: Tensor, before: Tensor) -> Tensor:
-        """What each direction costs, ``[B, D]``.
+        """Return the cost of each direction, ``[B, D]``.
 
         Source: Baumann (2018), section 3.1, and Ulrich and Borenstein (2000), VFH*, for the cost of a change.
 
         Args:
-            lines: what lies in the directions.
+            lines: the obstacles in the directions.
             directions: unit vectors ``[D, 3]``.
-            goal: unit vectors ``[B, 3]``.
-            height: that they lead to, ``[B, D]`` m.
-            before: the directions before, ``[B, 1, 3]``, 0 for none.
+            goal: unit vectors ``[B, 3]`` towards the goal.
+            height: the height to which each direction leads, ``[B, D]`` m.
+            before: the previous directions, ``[B, 1, 3]``; 0 for none.
         """
         costs, off = self.costs, height - self.vehicle.flight_level
         return (
@@ -188,14 +194,14 @@ class VFHStar(Planner):
         )
 
     def _ahead(self, cost: Tensor, start: Tensor, seen: Surroundings) -> Tensor:
-        """What the ways cost that go on from the first directions, ``[N, D]``, the same at all elevations.
+        """Return the cost of the path beyond each first direction, ``[N, D]``, the same for all elevations.
 
-        Source: Ulrich and Borenstein (2000), VFH*: nodes lie ``step`` apart, and each further one counts less.
+        Source: Ulrich and Borenstein (2000), VFH*: nodes are ``step`` apart, and each further node counts less.
 
         Args:
-            cost: of the first directions, ``[N, D]``.
-            start: where they begin, ``[N, D, 3]`` m.
-            seen: what is around.
+            cost: the costs of the first directions, ``[N, D]``.
+            start: the starts of the lines, ``[N, D, 3]`` m.
+            seen: the surroundings of the vehicles.
         """
         each, step = len(ELEVATIONS), self.costs.step
         first = cost.unflatten(1, (AZIMUTHS, each)).argmin(-1) + each * torch.arange(AZIMUTHS)  # [N, A]
@@ -211,7 +217,7 @@ class VFHStar(Planner):
         return ahead.repeat_interleave(each, 1)
 
     def _blended(self, cost: Tensor, lines: LineClearances) -> tuple[Tensor, Tensor]:
-        """The way, a unit vector ``[N, 3]``, and the speed ``[N, 1]``, of the best direction and its neighbours."""
+        """Return the best direction blended with its neighbours, unit vectors ``[N, 3]``, and the speed ``[N, 1]``."""
         costs = self.costs
         weight, way = blended(cost, self._close, costs.goal, self.directions)
         speed = (lines.free / costs.brake).clamp_max(self.vehicle.velocity_limit) * (1 - costs.caution * lines.threat)

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from tensordict import TensorDictBase
@@ -17,7 +18,7 @@ from uavrl.transforms.state import REDUCTIONS, cell_directions
 from uavrl.transforms.threats import DIRECTIONS
 from uavrl_onboard.geometry import world_to_yaw
 from uavrl_onboard.guards.evade import evade
-from uavrl_onboard.guards.shield import Shield, closing_speeds, sight_at
+from uavrl_onboard.guards.shield import Shield, closing_speeds, keep_within, sight_at
 from uavrl_onboard.perception.cells import VLP16_GRID, RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on
 from uavrl_onboard.perception.reductions import Reduction
@@ -34,7 +35,7 @@ BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
 # Of a controller that keeps headway, as the shield:
 LAG = Shield.lag  # s until a commanded velocity is flown
-CORRECTIONS = 10  # of a velocity, after which it is halved where it is still 0.1 m/s too fast
+keep_headway = partial(keep_within, corrections=10, shares=(1.0, 0.5), slack=0.0)  # of tensors, by call_numpy
 
 
 def wrapped_heading(heading_deg: Tensor) -> Tensor:
@@ -116,22 +117,6 @@ COSTS: dict[tuple[Reduction, Statistic], VFHWeights] = {
 def _counting(cells: Tensor, width: float) -> Tensor:
     """How much of each of the cells that lie towards ``cells [cells, 3]`` counts in each direction: ``[D, cells]``."""
     return (DIRECTIONS @ cells.T).clamp_min(0) ** width
-
-
-def keep_headway(velocity: Tensor, towards: Tensor, speed: Tensor) -> Tensor:
-    """Velocities ``[N, 3]`` near ``velocity`` that are hardly faster ``towards [C, 3]`` than ``speed [N, C]``.
-
-    The bound that is most exceeded is met by the shortest change, again and again.
-
-    Examples:
-        >>> keep_headway(torch.tensor([[2.0, 1.0, 0.0]]), torch.eye(3), torch.tensor([[0.5, 5.0, 5.0]])).tolist()
-        [[0.5, 1.0, 0.0]]
-    """
-    for _ in range(CORRECTIONS):
-        over, worst = (velocity @ towards.T - speed).max(-1, keepdim=True)
-        velocity = velocity - over.clamp_min(0.0) * towards[worst[..., 0]]
-    still = (velocity @ towards.T - speed).amax(-1, keepdim=True) > 0.1
-    return torch.where(still, 0.5 * velocity, velocity)
 
 
 def blended(cost: Tensor, close: Tensor, goal: float, directions: Tensor) -> tuple[Tensor, Tensor]:
@@ -247,7 +232,7 @@ class VectorFieldHistogram(PolicyModule):
             cost, speed = call_numpy(evade, cost, speed, self.directions, velocity, *self.ways(tensordict))
         action = self.to_action(cost, speed, tensordict["heading_deg"])
         if self.costs.headway:
-            velocity = keep_headway(action[..., :3], self._towards, self._allowed(tensordict))
+            velocity = call_numpy(keep_headway, action[..., :3], self._towards, self._allowed(tensordict))
             action = torch.cat([velocity, action[..., 3:]], -1)
         return tensordict.set("action", action)
 

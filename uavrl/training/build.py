@@ -124,8 +124,9 @@ def make_loss(
         told = "td3 or sac with algo.critic_reads: choose one of them"
         require(loss_type.critics_may_differ, "algo", told, settings.algo["_target_"])
         more[PRIVILEGED] = sizes.privileged
-    read = "layer_norm" in settings.algo.critic or not settings.algo.get("layer_norm", False)
-    require(read, "algo.layer_norm", f"false with {settings.algo.critic[TARGET]}, which does not take it", True)
+    critic = settings.algo.critic
+    if settings.algo.get("layer_norm"):  # a preset may set it, and another algorithm's critics ignore it
+        require("layer_norm" in critic, "algo.layer_norm", f"false with {critic[TARGET]}, which does not take it", True)
     critics = [
         TensorDictModule(
             make_network("critic", settings, sizes, *more.values()).to(device),

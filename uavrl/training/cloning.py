@@ -70,7 +70,7 @@ class Cloning:
         self.steps, self.updates_per_step, self.batch_size = steps, updates_per_step, batch_size
         self.lr, self.final_lr = lr, final_lr
         recorded: Execution = "eager" if execution == "eager" else "captured"
-        self.step = GradientStep(self._distance, loss.actor_parameters, lr, recorded, FLOWN_STATES)
+        self.step = GradientStep(self._distance, loss.actor_tensors, lr, recorded, FLOWN_STATES)
         self.updates = 0
 
     def _distance(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:

@@ -246,22 +246,25 @@ def _laid_out(tensor: Tensor, like: Tensor) -> Tensor:
 
 
 class GradientStep:
-    """Adam on what a loss says about some parameters."""
+    """A step of Adam along the gradients of a loss.
+
+    ``tensors`` are the parameters to train, and the buffers that the loss changes, which need no gradients.
+    """
 
     def __init__(
         self,
         loss_method: LossMethod,
-        parameters: Iterable[Tensor],
+        tensors: Iterable[Tensor],
         lr: float,
         execution: Execution,
         in_keys: Sequence[Any] | None = None,
         mode: Callable[[], Hashable] = tuple,
     ) -> None:
-        parameters = list(parameters)
-        leaves = [parameter for parameter in parameters if parameter.requires_grad]
-        statistics = [buffer for buffer in parameters if not buffer.requires_grad]
-        self.gradients = LossGradients(loss_method, leaves, execution, in_keys, mode, statistics)
-        self.optimizer = FusedAdam(leaves, lr=lr)
+        tensors = list(tensors)
+        parameters = [tensor for tensor in tensors if tensor.requires_grad]
+        statistics = [tensor for tensor in tensors if not tensor.requires_grad]
+        self.gradients = LossGradients(loss_method, parameters, execution, in_keys, mode, statistics)
+        self.optimizer = FusedAdam(parameters, lr=lr)
 
     def __call__(self, batch: TensorDictBase) -> Gradients:
         """One step; returns what it was based on."""

@@ -91,6 +91,7 @@ class EpisodeTrainer:
     collected_frames: int = 0  # steps of whole episodes, which is what is learned from
     steps_flown: int = 0  # with those dropped while others ended
     seconds_before: float = 0.0  # that earlier processes of this run have trained
+    reached: bool = field(default=False, init=False)  # whether the policy has exceeded ``until_success``
 
     def __post_init__(self) -> None:
         """Sets out what a checkpoint holds."""
@@ -178,6 +179,7 @@ class EpisodeTrainer:
         self._stall_notice.reset()
         self.progress.validated = str(found)
         self.log.add({"success_unseen": found.rate}, found.steps)
+        self._judge(validation)
         if self.reached:
             log.info(
                 "The policy has exceeded a success rate of %g %% in unseen valleys in at least one validation, so the "
@@ -186,6 +188,10 @@ class EpisodeTrainer:
                 validation.error,
                 found,
             )
+
+    def _judge(self, validation: Validation) -> None:
+        """Decide whether the policy exceeds the success rate that ends the training, after each new validation."""
+        self.reached = self.until_success is not None and validation.reached(self.until_success)
 
     def _require_finite(self, value: float, name: str, updates: int) -> None:
         if not math.isfinite(value):
@@ -223,13 +229,6 @@ class EpisodeTrainer:
     def seconds(self) -> float:
         """Wall-clock time that the run has trained for, in all its processes; what a resume drops left out."""
         return self.seconds_before + time.monotonic() - self._began
-
-    @property
-    def reached(self) -> bool:
-        """Whether the policy exceeds the success rate that ends the training."""
-        if self.validation is None or self.until_success is None:
-            return False
-        return self.validation.reached(self.until_success)
 
     @property
     def finished(self) -> bool:
@@ -290,3 +289,4 @@ class EpisodeTrainer:
         self.collected_frames, self._last_save = state_dict["collected_frames"], state_dict["last_save"]
         if self.validation is not None and "validation" in state_dict:  # a run may go on with or without one
             self.validation.load_state_dict(state_dict["validation"])
+            self._judge(self.validation)

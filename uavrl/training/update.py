@@ -69,8 +69,8 @@ class ActorCriticStepper(OptimizationStepper):
         self.actor_lr, self.actor_lr_decay = actor_lr, actor_lr_decay
         keys = (loss.unwrapped.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
         in_keys = [*loss.in_keys, *keys]
-        self.critic = GradientStep(self._value_loss, loss.critic_parameters, critic_lr, execution, in_keys)
-        self.actor = GradientStep(loss.actor_loss, loss.actor_parameters, actor_lr, execution, in_keys, self._active)
+        self.critic = GradientStep(self._value_loss, loss.critic_tensors, critic_lr, execution, in_keys)
+        self.actor = GradientStep(loss.actor_loss, loss.actor_tensors, actor_lr, execution, in_keys, self._active)
         self.targets = (
             FusedSoftUpdate(loss.unwrapped, tau=tau) if getattr(loss.unwrapped, "has_targets", True) else None
         )

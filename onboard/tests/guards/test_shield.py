@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.guards.shield import Shield, fitted
+from uavrl_onboard.guards.shield import Shield, keep_within
 from uavrl_onboard.vehicle import DECELERATION, Vehicle
 
 LEVEL = (0.0, 0.0)
@@ -76,7 +76,7 @@ def test_whatever_stands_around_nothing_is_approached_too_fast() -> None:
     for _ in range(200):
         cloud, asked = rng.normal(0, 1.2, (rng.integers(1, 200), 3)), rng.uniform(-2, 2, 3)
         towards, speed = shield.bounds(cloud, LEVEL, STILL)
-        found = fitted(asked, towards, speed)
+        (found,) = keep_within(asked[None], towards, speed[None])
         assert (towards @ found - speed).max(initial=0.0) <= 0.1 + 1e-9
         assert np.linalg.norm(found) <= np.linalg.norm(asked) + 1e-9
 

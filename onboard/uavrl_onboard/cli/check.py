@@ -8,8 +8,9 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
-from uavrl_onboard.cli.command import About, command
+from uavrl_onboard.cli.command import command
 from uavrl_onboard.cli.fly import FlyConfig, make_guards, make_vehicle, open_feed, open_link
+from uavrl_onboard.cli.help import About
 from uavrl_onboard.cli.ros2_keys import ROS2
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.files import replacing, writable

@@ -6,20 +6,21 @@ The dataclass's docstring is the help.
 from __future__ import annotations
 
 import inspect
+import json
 import re
-import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, fields, is_dataclass
-from functools import wraps
-from typing import Any, NamedTuple, NoReturn, TypeVar, get_type_hints
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import MISSING, fields, is_dataclass
+from functools import partial, wraps
+from typing import Any, NoReturn, TypeVar, get_type_hints
 
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from uavrl_onboard import __version__
+from uavrl_onboard.cli.help import About, Key, render_help, show
 from uavrl_onboard.cli.process import command_process, configure_logging
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.guards.command_line import KEY as GUARDS
@@ -29,17 +30,7 @@ from uavrl_onboard.values import to_plain, validated
 
 T = TypeVar("T")
 SLIP = 0.85  # of a key: one so near to another was meant as that
-LONGEST = 24  # characters of a key beside its meaning
 _ARGUMENT = re.compile(r"^(\w+): ", re.MULTILINE)
-
-
-class About(NamedTuple):
-    """What ``--help`` says of a command besides its keys."""
-
-    name: str
-    summary: str
-    examples: Sequence[str]
-    most_used: str = ""  #: keys, separated by blanks
 
 
 def command(about: About, kind: type[T]) -> Callable[[Callable[[T], Any]], Callable[[], None]]:
@@ -50,11 +41,7 @@ def command(about: About, kind: type[T]) -> Callable[[Callable[[T], Any]], Calla
         def main() -> None:
             with command_process():
                 arguments = sys.argv[1:]
-                if arguments[:1] == ["--version"]:
-                    print(f"{about.name} {__version__}")
-                elif asked := [each for each in arguments if each in ("--help", "-h", "--help=all")]:
-                    print(help_text(about, kind, every_key=asked[0] == "--help=all"))
-                else:
+                if not show(arguments, f"{about.name} {__version__}", partial(render_help, about, keys(kind))):
                     configure_logging()
                     function(settings(about, kind, arguments))
 
@@ -70,7 +57,7 @@ def settings(about: About, kind: type[T], arguments: Sequence[str]) -> T:
         UavrlError: naming the argument that is no KEY=VALUE, or the key that is unknown, of another type or out of
             range.
     """
-    known = [key for key, _, _ in keys(kind)]
+    known = [key.name for key in keys(kind)]
     arguments = join_guards(arguments) if GUARDS in known else arguments
     for argument in arguments:
         _require_key_and_value(about, argument, known)
@@ -104,19 +91,16 @@ def refuse_option(command: str, option: str, known: Sequence[str]) -> NoReturn:
     raise UavrlError(f"{command} has no option {option}{did_you_mean(key, known, ': ', otherwise, SLIP)}")
 
 
-def keys(kind: type[Any], prefix: str = "") -> Iterator[tuple[str, Any, str]]:
-    """The keys of a dataclass and of the dataclasses in it, dotted: name, default and meaning."""
+def keys(kind: type[Any], prefix: str = "") -> Iterator[Key]:
+    """Iterate over the keys of a dataclass and of the dataclasses in it, with dotted names."""
     hints, meanings = get_type_hints(kind), documented(kind)
     for field in fields(kind):
         hint = hints[field.name]
         if isinstance(hint, type) and is_dataclass(hint):
             yield from keys(hint, f"{prefix}{field.name}.")
         else:
-            yield f"{prefix}{field.name}", _default(field), meanings.get(field.name, "")
-
-
-def _default(field: Field[Any]) -> Any:
-    return field.default_factory() if field.default_factory is not MISSING else field.default
+            default = field.default_factory() if field.default_factory is not MISSING else field.default
+            yield Key(f"{prefix}{field.name}", _written(default), meanings.get(field.name, ""))
 
 
 def documented(kind: type[Any]) -> dict[str, str]:
@@ -130,38 +114,11 @@ def documented(kind: type[Any]) -> dict[str, str]:
     return found
 
 
-def help_text(about: About, kind: type[Any], *, every_key: bool = False) -> str:
-    """What a command takes, for a screen or in full."""
-    known = {key: (default, meaning) for key, default, meaning in keys(kind)}
-    lines = [f"{about.name}: {about.summary}", "", f"Usage: {about.name} KEY=VALUE …", ""]
-    lines += [f"  {about.name} {example}" for example in about.examples]
-    if every_key:
-        rows = {key: f"{meaning} ({_written(default)})" for key, (default, meaning) in known.items()}
-        return "\n".join([*lines, "", "All keys, with their default in brackets", *table(rows)])
-    rows = {key: known[key][1] for key in about.most_used.split() or known}
-    return "\n".join([*lines, "", "Most used keys", *table(rows), "", f"All keys: {about.name} --help=all"])
-
-
 def _written(value: Any) -> str:
+    """Return a value as it is typed on the command line."""
     value = to_plain(value)
     if isinstance(value, list):
         return f"[{','.join(map(_written, value))}]"
-    return (
-        {None: "null", True: "true", False: "false"}.get(value, str(value))
-        if not isinstance(value, float)
-        else f"{value:g}"
-    )
-
-
-def table(rows: Mapping[str, str]) -> list[str]:
-    """Two columns; a long name has a line of its own."""
-    width = min(max(map(len, rows)), LONGEST) + 2
-    room = max(shutil.get_terminal_size().columns, 80)
-    lines = []
-    for name, text in rows.items():
-        wrapped = textwrap.wrap(text, room - width - 3)
-        if len(name) > LONGEST:
-            lines.append(f"  {name}")
-            name = ""
-        lines += [f"  {name if not n else '':{width}}{part}" for n, part in enumerate(wrapped)]
-    return lines
+    if isinstance(value, float):
+        return f"{value:g}"
+    return value if isinstance(value, str) else json.dumps(value)

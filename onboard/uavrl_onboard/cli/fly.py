@@ -15,9 +15,10 @@ from pydantic import Field
 
 from uavrl_onboard.autopilot.dry_run import DryRun
 from uavrl_onboard.autopilot.mavlink import Autopilot
-from uavrl_onboard.cli.command import About, command
+from uavrl_onboard.cli.command import command
 from uavrl_onboard.cli.flight_end import conclude, until_the_end, writes
 from uavrl_onboard.cli.flight_lines import FlightLines
+from uavrl_onboard.cli.help import About
 from uavrl_onboard.cli.lidar_keys import LidarKeys
 from uavrl_onboard.cli.nonblocking_output import nonblocking_output
 from uavrl_onboard.cli.process import terminable

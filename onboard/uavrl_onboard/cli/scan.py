@@ -12,7 +12,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from uavrl_onboard.cli.command import About, command
+from uavrl_onboard.cli.command import command
+from uavrl_onboard.cli.help import About
 from uavrl_onboard.cli.lidar_keys import LidarKeys
 from uavrl_onboard.errors import Stopped, UavrlError
 from uavrl_onboard.files import replacing, writable

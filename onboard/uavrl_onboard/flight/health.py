@@ -1,4 +1,4 @@
-"""What is odd about a flight's scans and poses, though each of them is whole: for people, told now and then."""
+"""Remarks for the operator on scans and poses that are late, slow or doubtful although each one is valid."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ import numpy as np
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.flight.interfaces import FlightCycle
 
-UNHEARD = 3.0  # s without a scan, or with poses that are too old, after which it is told why
-AGAIN = 30.0  # s after which that is told again
-_WELL = 1.0  # s for which scans or poses must come in time again before it is told that it is over
-LOOKED_AT = 20  # scans
-_SLOW = 0.8  # of the policy's rate
-_GAP = 0.3  # s between two scans that is a silence: no sensor turns so slowly
-_STANDS = 0.5  # s without a newer pose: autopilots send 50 a second
-_OLD_SCAN = 0.08  # s: a stamp of the first point is older by a turn, 0.1 s at 10 Hz
-_OLD_POSE = 0.06  # s: poses that come 20 times a second, stamped when they are made, are younger when they are read
-_STEADY = 0.05  # s within which ages are steady
-_POSES_LOOKED_AT = 30
+UNHEARD = 3.0  # After this many seconds without a scan, or with poses that are too old, the operator learns why.
+AGAIN = 30.0  # The sentence is repeated after this many seconds.
+_WELL = 1.0  # Scans or poses must be in time for this many seconds before the fault counts as over.
+LOOKED_AT = 20  # number of latest scans that are examined
+_SLOW = 0.8  # Scans are slow below this share of the policy's rate.
+_GAP = 0.3  # A longer time between two scans, in s, is a silence, because no sensor turns so slowly.
+_STANDS = 0.5  # After this many seconds without a newer pose, poses have stopped: autopilots send 50 per second.
+_OLD_SCAN = 0.08  # A scan that is older on arrival, in s, may have the stamp of its first point: a turn takes 0.1 s.
+_OLD_POSE = 0.06  # Poses that come 20 times per second and are stamped when they are made are younger than this, in s.
+_STEADY = 0.05  # Ages that differ by less than this, in s, are steady.
+_POSES_LOOKED_AT = 30  # number of latest poses that are examined
 
 
 class _Spell:
-    """A fault that lasts: when it is to be told, and when it is over. What is well for a moment does not end it."""
+    """A lasting fault, which decides when it is reported and when it is over; a short improvement does not end it."""
 
     def __init__(self) -> None:
         self._begun, self._latest, self._told = 0.0, 0.0, 0.0
         self._lasts, self._is_told = False, False
 
     def tells(self, now: float, since: float | None) -> bool:
-        """Whether a fault that is there since some time is to be told now; None for none."""
+        """Return whether to report now a fault that exists ``since`` a time; None stands for no fault."""
         if since is None:
             return False
         self._begun = self._begun if self._lasts else since
@@ -42,7 +42,7 @@ class _Spell:
         return due
 
     def ends(self, now: float, since: float | None) -> float | None:
-        """How long a fault has lasted that was told and is over now."""
+        """Return how long a fault has lasted if it was reported and is over now; else None."""
         if since is not None or not self._lasts or now - self._latest < _WELL:
             return None
         self._lasts, told, self._is_told = False, self._is_told, False
@@ -50,18 +50,18 @@ class _Spell:
 
 
 class FlightHealth:
-    """Takes in the cycles of a flight and says in sentences what is odd about them.
+    """Observe the cycles of a flight and describe in sentences what is wrong with its scans and poses.
 
     Args:
-        trouble: says why no scan has come, as a sentence's second half.
-        rate: how often the policy acts, Hz.
-        pose_age: greatest age of a pose by which the safety layer lets it fly, s.
-        stamped: whether scans bear a stamp of their sender; else they have that of their arrival.
-        remarks: gives what else is odd about the source of scans, each sentence again and again.
+        trouble: returns the second half of a sentence, which says why no scan has come.
+        rate: number of actions of the policy per second, Hz.
+        pose_age: the greatest age of a pose by which the safety layer lets the policy fly, s.
+        stamped: True if scans have the stamp of their sender; False if they have the time of their arrival.
+        remarks: returns further sentences about the source of the scans; it may repeat them at each call.
 
     Attributes:
-        told: the latest sentence of each kind that was told: ``silent``, ``slow``, ``doubt`` and ``old scans`` of the
-            scans, ``late poses`` and ``old poses``; remarks by their own sentence.
+        told: the latest sentence of each kind that was reported. The kinds are ``silent``, ``slow``, ``doubt`` and
+            ``old scans`` for scans, and ``late poses`` and ``old poses``. The kind of a remark is its own sentence.
     """
 
     def __init__(
@@ -75,8 +75,8 @@ class FlightHealth:
     ) -> None:
         self._trouble, self._rate, self._pose_age = trouble, rate, pose_age
         self._stamped, self._remarks = stamped, remarks
-        self._heard: float | None = None  # when the latest scan came
-        self._posed: tuple[float, float] | None = None  # the stamp of the latest pose, and when that was new
+        self._heard: float | None = None  # time of the latest scan
+        self._posed: tuple[float, float] | None = None  # stamp of the latest pose, and the time at which it was new
         self._scans, self._poses = _Spell(), _Spell()
         self._stamps: deque[float] = deque(maxlen=LOOKED_AT)
         self._scan_ages: deque[float] = deque(maxlen=LOOKED_AT)
@@ -92,7 +92,7 @@ class FlightHealth:
         return [*late, *new.values()]
 
     def _late_scans(self, cycle: FlightCycle) -> Iterator[str]:
-        """What is told of scans that do not come."""
+        """Yield sentences about missing scans."""
         now = cycle.time
         self._heard = now if self._heard is None or cycle.scan is not None else self._heard
         since = self._heard if now - self._heard > _GAP else None
@@ -103,7 +103,7 @@ class FlightHealth:
             yield f"Scans come again; none had come for {lasted:.0f} s."
 
     def _late_poses(self, cycle: FlightCycle) -> Iterator[str]:
-        """What is told of poses that do not come, or come too late to fly by."""
+        """Yield sentences about poses that are missing, or too old to fly by."""
         now, stamp = cycle.time, None if cycle.pose is None else cycle.pose.stamp
         if self._posed is None or stamp is None or stamp > self._posed[0]:
             before = now if self._posed is None else self._posed[1]
@@ -117,6 +117,7 @@ class FlightHealth:
             yield f"Poses are in time again; they were missing or too old for {lasted:.0f} s."
 
     def _why_late(self, cycle: FlightCycle, stamp: float | None, silent: float) -> str:
+        """Return a sentence that says why poses are late, and what to do."""
         if stamp is None or silent > _STANDS:
             none = "No position and attitude have come" if stamp is None else "No new position and attitude have come"
             none += f" for {silent:.0f} s"
@@ -130,7 +131,7 @@ class FlightHealth:
         return f"{old}: {why}; {look} (a second makes up for 0.1 s at most)."
 
     def _found(self, cycle: FlightCycle) -> Iterator[tuple[str, str]]:
-        """What is told once."""
+        """Yield the kinds and sentences that are reported once."""
         yield from ((sentence, sentence) for sentence in self._remarks())
         if cycle.scan is None:
             return
@@ -146,7 +147,7 @@ class FlightHealth:
             yield "slow", f"{slow}: look at the sensor's rate, at what is lost on the way, and at the processor's load."
 
     def _old_stamps(self, now: float, scan: float, pose: float | None) -> Iterator[tuple[str, str]]:
-        """What is told of stamps that are old at once, and steadily."""
+        """Yield the kinds and sentences about scans and poses whose stamps are always old on arrival."""
         self._scan_ages.append(now - scan)
         age = float(np.median(self._scan_ages))
         if len(self._scan_ages) == LOOKED_AT and age > _OLD_SCAN:

@@ -13,8 +13,10 @@ from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.vehicle import DECELERATION, VEHICLE, Vehicle, stopping_distance
 
 AZIMUTHS, RISES = 36, 10  # directions, of each of which the nearest point counts
-SWEEPS = 20  # most corrections of a velocity
-LEFT = 0.1  # m/s by which the last of them may still be too fast
+CORRECTIONS = 20  # greatest number of changes of a velocity
+SLACK = 1e-6  # m/s by which a velocity may exceed a bound without a change
+EXCESS = 0.1  # m/s by which a velocity may exceed a bound after all changes; above, it is slowed as a whole
+SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of a velocity that is slowed as a whole
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,8 @@ class Shield:
                 f"A shield needs finite numbers, got {asked} m/s asked for, roll and pitch {tuple(tilt)} rad, and a "
                 f"velocity of {velocity} m/s."
             )
-        found = fitted(asked, *self.bounds(cloud, tilt, velocity))
+        towards, speeds = self.bounds(cloud, tilt, velocity)
+        found = keep_within(asked[None], towards, speeds[None])[0]
         return found * min(1.0, self.vehicle.velocity_limit / max(np.abs(found).max(), 1e-9))
 
     def bounds(
@@ -180,23 +183,45 @@ def _nearest_of_each_direction(towards: np.ndarray, gaps: np.ndarray) -> np.ndar
     return order[np.flatnonzero(np.diff(part[order], prepend=-1))]
 
 
-def fitted(velocity: np.ndarray, towards: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """A velocity ``[3]`` near ``velocity`` that is nowhere faster ``towards [M, 3]`` than ``speed [M]``.
+def keep_within(
+    velocities: np.ndarray,
+    towards: np.ndarray,
+    speeds: np.ndarray,
+    *,
+    corrections: int = CORRECTIONS,
+    shares: tuple[float, ...] = SHARES,
+    slack: float = SLACK,
+) -> np.ndarray:
+    """Return velocities ``[N, 3]`` near the given ones that hardly exceed ``speeds [N, M]`` ``towards [M, 3]``.
 
-    The bound that is most exceeded is met by the shortest change, again and again; what still exceeds one is slowed.
+    The bound that is exceeded most is met by the shortest change, again and again. A velocity that then still exceeds
+    a bound by more than 0.1 m/s is multiplied by the largest of ``shares`` with which it does not, or by the last one.
+
+    Args:
+        velocities: ``[N, 3]`` m/s.
+        towards: unit vectors ``[M, 3]``.
+        speeds: of 0 or more, or infinity where there is no bound, m/s.
+        corrections: the greatest number of changes of a velocity.
+        shares: factors on a velocity, in falling order.
+        slack: by how much a bound may be exceeded without a change, m/s.
 
     Examples:
-        >>> fitted(np.array([2.0, 1.0, 0.0]), np.eye(3), np.array([0.5, 5.0, 5.0])).tolist()
-        [0.5, 1.0, 0.0]
+        >>> keep_within(np.array([[2.0, 1.0, 0.0]]), np.eye(3), np.array([[0.5, 5.0, 5.0]])).tolist()
+        [[0.5, 1.0, 0.0]]
     """
-    if not len(speed):
-        return velocity
-    fitting = velocity.copy()
-    for _ in range(SWEEPS):
-        over = towards @ fitting - speed
-        worst = over.argmax()
-        if over[worst] <= 1e-6:
-            return fitting
-        fitting -= over[worst] * towards[worst]
-    shares = (1.0, 0.75, 0.5, 0.25, 0.0)
-    return next(share * fitting for share in shares if (share * (towards @ fitting) - speed).max() <= LEFT)
+    if not len(towards):
+        return velocities
+    found, rows = velocities, np.arange(len(velocities))
+    for _ in range(corrections):
+        over = found @ towards.T - speeds
+        worst = over.argmax(1)
+        excess = over[rows, worst]
+        excess[excess <= slack] = 0.0
+        if not excess.any():
+            return found
+        found = found - excess[:, None] * towards[worst]
+    flown = found @ towards.T
+    factors = np.full(len(found), shares[-1], found.dtype)
+    for share in reversed(shares[:-1]):
+        factors[(share * flown - speeds).max(1) <= EXCESS] = share
+    return factors[:, None] * found

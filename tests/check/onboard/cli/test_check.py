@@ -15,13 +15,12 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.folders import ROOT
 from tests.helpers.measured import measured
 from tests.helpers.ports import free_ports
 from tests.helpers.ros2_peer import DOMAIN
 
 pytestmark = measured
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 @contextmanager

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,13 +20,13 @@ from uavrl_onboard.ros2.dds import idl_type
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 
+from tests.helpers.folders import ROOT
 from tests.helpers.measured import measured
 from tests.helpers.ros2_follower import SETPOINT
 from tests.helpers.ros2_peer import DOMAIN, LOOPBACK, RosNode, cloud, odometry, px4_odometry
 
 pytestmark = measured
 
-ROOT = Path(__file__).resolve().parents[3]
 SCANS = 20
 
 

@@ -7,12 +7,11 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.folders import ROOT
 from tests.helpers.measured import measured
 from tests.helpers.ports import free_ports
 
 pytestmark = measured
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.folders import ROOT
 from tests.helpers.measured import measured
 from tests.helpers.ros2_peer import DOMAIN
 
@@ -23,7 +24,6 @@ pytest.importorskip("visualization_msgs.msg", reason=ROS)
 
 pytestmark = measured
 
-ROOT = Path(__file__).resolve().parents[3]
 GOAL = (13.0, 0.0, 3.0)
 
 
