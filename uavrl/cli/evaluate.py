@@ -24,6 +24,7 @@ from uavrl.evaluation.policies import (
     policy_folder,
     require_fit,
     require_named,
+    require_one,
     result_overrides,
 )
 from uavrl.runs.provenance import processor, versions
@@ -42,6 +43,7 @@ def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
     require_named(config)  # before all else: validating the environment loads torch
     with suppress(OmegaConfBaseException):  # a value that cannot be read is told by validate
+        require_one(config.run, config.policy)
         if config.progress is True and (flown := config.run or config.policy):
             log.info("Loading %s ...", flown)
     settings = validate(config, EvaluateConfig)

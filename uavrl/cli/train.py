@@ -22,6 +22,7 @@ from uavrl.config.command_line import command_line
 from uavrl.config.validation import to_config
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.clock import start_clock
+from uavrl.runs.config import require_typed_run
 from uavrl.runs.episodes import RATES, success_text, wilson
 from uavrl.runs.folders import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
@@ -78,6 +79,7 @@ def _command(config: DictConfig) -> sweep_runs.Outcome | None:
 
 
 def _train(config: DictConfig) -> None:
+    require_typed_run(config, "resume")  # before all else: validating the environment loads torch
     settings = validate(config)
     _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]

@@ -22,6 +22,7 @@ from uavrl.config.settings import EvaluateConfig, FlyingConfig
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.evaluation.worlds import TRAINING, UNSEEN, unseen_seeds, without_variety
+from uavrl.runs.config import require_typed_run
 from uavrl.runs.labels import label
 from uavrl.runs.names import LONGEST_NAME
 from uavrl.runs.weights import POLICY
@@ -234,11 +235,16 @@ def packaged_policies() -> list[str]:
 
 def policy_folder(run: str | None, policy: str | None) -> Path | None:
     """Where the policy lies that the command line names: a run, or a packaged policy; None for a baseline."""
-    if (run is None) == (policy is None):
-        raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
+    require_one(run, policy)
     if run is not None:
         return Path(run)
     return PACKAGED / str(policy) if policy in packaged_policies() else None
+
+
+def require_one(run: object, policy: object) -> None:
+    """Refuses a command line with both a run and a policy, or with neither; loads no torch."""
+    if (run is None) == (policy is None):
+        raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
 
 
 def require_policy(name: object) -> None:
@@ -252,9 +258,11 @@ def require_policy(name: object) -> None:
 
 
 def require_named(config: DictConfig) -> None:
-    """The same of what a command line says; a value that cannot be read is told where all others are."""
+    """Refuses a command line whose policy or run is not there; a value that cannot be read is told with all others."""
     with suppress(OmegaConfBaseException):
         require_policy(config.policy)
+        if config.policy is None:
+            require_typed_run(config)
 
 
 def load_policy(
