@@ -31,7 +31,14 @@ def command_line(command: str, *words: object, **values: object) -> str:
 
 
 def trusting(packages: Iterable[str]) -> dict[str, list[str]]:
-    """The values of a command that runs the code of some packages; none for no packages."""
+    """The values of a command that runs the code of some packages; none for no packages.
+
+    Examples:
+        >>> print(command_line("uavrl-train", resume="runs/a", **trusting(["mine"])))
+        uavrl-train resume=runs/a 'packages=[mine]'
+        >>> print(command_line("uavrl-train", resume="runs/a", **trusting([])))
+        uavrl-train resume=runs/a
+    """
     return {"packages": listed} if (listed := list(packages)) else {}
 
 
