@@ -111,6 +111,7 @@ def test_a_taken_folder_is_refused_before_the_states_are_read(
     monkeypatch.setattr(pipeline, "read_states", lambda _: pytest.fail("the states were read"))
     (tmp_path / "pretrained").mkdir()
     (tmp_path / "pretrained" / ARTIFACT.json).write_text("{}", encoding="utf-8")
+    (tmp_path / "config.yaml").touch()
     assert "already contains an artifact" in refused(command.main, f"run={tmp_path}", *SMALL_PRETRAINING)
 
 

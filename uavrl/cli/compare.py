@@ -41,7 +41,7 @@ ABOUT = About(
     "uavrl-compare",
     "Flies two policies in the same tasks until it is clear which one succeeds more often.",
     [
-        "best vfh row=dense",
+        "best vfh_star row=dense",
         "runs/mine best",
         "'best guards=none' best row=busy",
         "mine/suite.json theirs/suite.json row=dense",
@@ -78,7 +78,7 @@ class CompareConfig:
     def __post_init__(self) -> None:
         """Check that there are two policies and a scenario."""
         if self.first is None or self.second is None:
-            raise UavrlError("Name two policies to compare, for example: uavrl-compare best vfh row=dense.")
+            raise UavrlError("Name two policies to compare, for example: uavrl-compare best vfh_star row=dense.")
         _changes(self.row)
 
 

@@ -17,7 +17,7 @@ from uavrl.cli.suite import evaluate_suite
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.command_line import command_line, override
 from uavrl.evaluation.overrides import PLAIN_KEYS, output_name, result_overrides
-from uavrl.evaluation.policies import policy_folder, require_named
+from uavrl.evaluation.policies import policy_folder, require_named, require_one
 from uavrl.evaluation.policy_setup import PolicySetup, choose, require_fit
 from uavrl.runs.provenance import processor, versions
 from uavrl_onboard.files import replacing, writable
@@ -35,6 +35,7 @@ def main(config: DictConfig) -> None:
     """Evaluates one policy, in one world or in all of the suite."""
     require_named(config)  # before all else: validating the environment loads torch
     with suppress(OmegaConfBaseException):  # a value that cannot be read is told by validate
+        require_one(config.run, config.policy)
         if config.progress is True and (flown := config.run or config.policy):
             log.info("Loading %s ...", flown)
     settings = validate(config, EvaluateConfig)

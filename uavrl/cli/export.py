@@ -11,6 +11,8 @@ from uavrl.config import validate
 from uavrl.config.command_line import command_line
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import default_guards, packaged_policies, policy_folder, unknown_policy
+from uavrl.runs.config import require_run
+from uavrl.runs.weights import require_free
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.policy.contract import CONTRACT
@@ -43,16 +45,20 @@ def main(config: DictConfig) -> None:
     folder, output = policy_folder(settings.run, settings.policy), Path(str(settings.output))
     if folder is None:
         raise unknown_policy(str(settings.policy), packaged_policies(), "to export your own give run=RUN_FOLDER.")
-    # Imported here: --help and a mistyped key answer without loading torch.
+    require_run(folder)
+    require_free(output)
+    # Imported here: --help, a mistyped key and a wrong folder answer without loading torch.
     from uavrl.export.export import export_policy
     from uavrl.export.model_card import CARD
 
     guards = guard_settings(settings.guards, default_guards(folder))
     about = export_policy(folder, settings.checkpoint, output, settings.packages, guards=guards)
-    steps = pluralize(about["training_steps"], "step") if "training_steps" in about else "its steps"
+    trained = f" ({pluralize(about['training_steps'], 'training step')})" if "training_steps" in about else ""
     then = command_line("uavrl-evaluate", run=output)
-    terms = f"What another program needs to fly it: {output / CONTRACT}. " if (output / CONTRACT).is_file() else ""
-    print(f"The policy after {steps} is in {output}. {terms}Its model card: {output / CARD}. Its success rate: {then}")
+    print(f"Exported the policy{trained} to {output}. Its model card is {output / CARD}.")
+    if (output / CONTRACT).is_file():
+        print(f"{output / CONTRACT} describes its inputs and outputs for other programs.")
+    print(f"To measure its success rate: {then}")
 
 
 if __name__ == "__main__":

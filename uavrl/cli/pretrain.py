@@ -7,12 +7,14 @@ from omegaconf import DictConfig
 from uavrl.cli.command import command
 from uavrl.config import validate
 from uavrl.config.command_line import command_line
+from uavrl.runs.config import require_typed_run
 from uavrl_onboard.pluralize import pluralize
 
 
 @command("pretrain")
 def main(config: DictConfig) -> None:
     """Makes one artifact."""
+    require_typed_run(config)
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
     from uavrl.pretraining.settings import PretrainConfig

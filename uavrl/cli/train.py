@@ -4,7 +4,7 @@ import errno
 import logging
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,10 +18,11 @@ from uavrl.cli.command import command
 from uavrl.cli.logs import configure_logging
 from uavrl.cli.memory import require_memory
 from uavrl.config import TrainConfig, resolve, validate
-from uavrl.config.command_line import command_line
+from uavrl.config.command_line import command_line, trusting
 from uavrl.config.validation import to_config
 from uavrl.errors import FolderTaken, Stopped, UavrlError
 from uavrl.runs.clock import start_clock
+from uavrl.runs.config import require_typed_run
 from uavrl.runs.episodes import RATES, success_text, wilson
 from uavrl.runs.folders import made_folder
 from uavrl.runs.names import ANY_CHECKPOINT
@@ -78,6 +79,7 @@ def _command(config: DictConfig) -> sweep_runs.Outcome | None:
 
 
 def _train(config: DictConfig) -> None:
+    require_typed_run(config, "resume")  # before all else: validating the environment loads torch
     settings = validate(config)
     _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
@@ -89,7 +91,7 @@ def _train(config: DictConfig) -> None:
         _check_machine(config)
         with made_folder(Path(config.run_dir), ANY_CHECKPOINT, another=named_by_time) as run_dir:
             config.run_dir = str(run_dir)
-            with explain_full_disk(run_dir), run_lock(run_dir):
+            with explain_full_disk(run_dir, config.packages), run_lock(run_dir):
                 _fly(config, create_run(config), resume=False)
         return
     run_dir = Path(str(config.resume))
@@ -97,12 +99,12 @@ def _train(config: DictConfig) -> None:
     config = resume_config(run_dir, config, [key for key in changed if key != "resume"])
     _check(validate(config))
     _check_machine(config)
-    with explain_full_disk(run_dir):
+    with explain_full_disk(run_dir, config.packages):
         _fly(config, run_dir, resume=True)
 
 
 @contextmanager
-def explain_full_disk(run_dir: Path) -> Iterator[None]:
+def explain_full_disk(run_dir: Path, packages: Iterable[str] = ()) -> Iterator[None]:
     """Says which file could not be written, and how to go on."""
     try:
         yield
@@ -110,7 +112,8 @@ def explain_full_disk(run_dir: Path) -> Iterator[None]:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
         begun = any(run_dir.glob(ANY_CHECKPOINT))
-        again = f"resume with {command_line('uavrl-train', resume=run_dir)}" if begun else "start it again"
+        go_on = command_line("uavrl-train", resume=run_dir, **trusting(packages))
+        again = f"resume with {go_on}" if begun else "start it again"
         raise UavrlError(
             f"{error.filename or run_dir} cannot be written ({error.strerror}): make room on its disk, and {again}."
         ) from error
@@ -166,7 +169,7 @@ def _train_in_sweep(config: DictConfig) -> sweep_runs.Outcome:
         return sweep_runs.Outcome(run_dir, place, ended=True)
     try:
         _check_machine(config)
-        with explain_full_disk(run_dir), made_folder(run_dir, ANY_CHECKPOINT), run_lock(run_dir):
+        with explain_full_disk(run_dir, config.packages), made_folder(run_dir, ANY_CHECKPOINT), run_lock(run_dir):
             if is_finished(run_dir, config.trainer.episodes, config.trainer.steps):  # meanwhile, by another process
                 print(f"Finished: {run_dir}")
             elif is_begun(run_dir):
@@ -190,8 +193,9 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
     rate = wilson(round(summary["rates"][RATES["success"]] * last), last)
     print(f"Trained for {pluralize(summary['episodes'], 'episode')}, {pluralize(summary['steps'], 'step')}.")
     print(success_text(rate, last, "training episode"))
-    watch = f"; watch it: {command_line('uavrl-replay', run=run_dir)}" if "world" in config.env else ""
-    print(f"Evaluate it: {command_line('uavrl-evaluate', run=run_dir)}{watch}")
+    trusted = trusting(config.packages)
+    watch = f"; watch it: {command_line('uavrl-replay', run=run_dir, **trusted)}" if "world" in config.env else ""
+    print(f"Evaluate it: {command_line('uavrl-evaluate', run=run_dir, **trusted)}{watch}")
 
 
 if __name__ == "__main__":

@@ -30,6 +30,18 @@ def command_line(command: str, *words: object, **values: object) -> str:
     return shlex.join([command, *told, *(override(key, value) for key, value in values.items())])
 
 
+def trusting(packages: Iterable[str]) -> dict[str, list[str]]:
+    """The values of a command that runs the code of some packages; none for no packages.
+
+    Examples:
+        >>> print(command_line("uavrl-train", resume="runs/a", **trusting(["mine"])))
+        uavrl-train resume=runs/a 'packages=[mine]'
+        >>> print(command_line("uavrl-train", resume="runs/a", **trusting([])))
+        uavrl-train resume=runs/a
+    """
+    return {"packages": listed} if (listed := list(packages)) else {}
+
+
 def override(key: str, value: object) -> str:
     """``KEY=VALUE`` as Hydra reads it: with quotes where it would take a text for something else.
 

@@ -14,7 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from uavrl.config.build import TARGET, build, find_class
 from uavrl.config.context import CONTEXT
 from uavrl.errors import UavrlError
-from uavrl.runs.config import read_config
+from uavrl.runs.config import read_config, require_typed_run
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.policy.contract import CONTRACT, read_contract
@@ -46,11 +46,16 @@ def packaged_policies() -> list[str]:
 
 def policy_folder(run: str | None, policy: str | None) -> Path | None:
     """Return the folder of the run or of the packaged policy that a command line names; None for any other policy."""
-    if (run is None) == (policy is None):
-        raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
+    require_one(run, policy)
     if run is not None:
         return Path(run)
     return PACKAGED / str(policy) if policy in packaged_policies() else None
+
+
+def require_one(run: object, policy: object) -> None:
+    """Refuse a command line with both a run and a policy, or with neither, without importing PyTorch."""
+    if (run is None) == (policy is None):
+        raise UavrlError("Give either run=RUN_FOLDER or policy=NAME, and not both.")
 
 
 def require_policy(name: object) -> None:
@@ -64,9 +69,11 @@ def require_policy(name: object) -> None:
 
 
 def require_named(config: DictConfig) -> None:
-    """Refuse a policy of a configuration that does not exist; validation reports a value that cannot be read."""
+    """Refuse a policy or a run of a configuration that is not there; validation reports a value that cannot be read."""
     with suppress(OmegaConfBaseException):
         require_policy(config.policy)
+        if config.policy is None:
+            require_typed_run(config)
 
 
 def load_policy(

@@ -25,7 +25,7 @@ from uavrl.export.onnx_export import INPUT, MEMORY_INPUT, MEMORY_OUTPUT, OUTPUT,
 from uavrl.models.memory import RecurrentPolicy
 from uavrl.runs.names import CONFIG
 from uavrl.runs.provenance import versions
-from uavrl.runs.weights import POLICY
+from uavrl.runs.weights import POLICY, require_free
 from uavrl.transforms import (
     LastAction,
     MovingObjects,
@@ -60,10 +60,9 @@ def export_policy(
     those that the policy flies with by default. The policy is
     that of :func:`load_actor`; what ``policy.json`` says of it is returned.
     """
+    require_free(output)
     config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
     about = {key: known[key] for key in ("run", *POLICY_INFO, "versions") if key in known}
-    if POLICY.is_in(output) or (output / CONFIG).exists():
-        raise UavrlError(f"The folder {output} already contains a policy or a run: choose another with output=FOLDER.")
     read_statements(folder)
     writable(output / POLICY.json, "output=FOLDER")
     config.run_dir = Path(str(config.run_dir)).name

@@ -2,7 +2,7 @@
 
 import json
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from torchrl.checkpoint import (
 )
 from torchrl.data import ReplayBuffer
 
-from uavrl.config.command_line import command_line
+from uavrl.config.command_line import command_line, trusting
 from uavrl.errors import UavrlError
 from uavrl.runs.config import fingerprint, read_config, require_folder
 from uavrl.runs.episodes import read_episodes
@@ -179,9 +179,9 @@ def checkpoint_to_resume(run_dir: Path, config: DictConfig) -> Path:
     )
 
 
-def how_to_go_on(run_dir: Path) -> str:
-    """The sentence that a stopped run ends with."""
-    go_on = command_line("uavrl-train", resume=run_dir)
+def how_to_go_on(run_dir: Path, packages: Iterable[str] = ()) -> str:
+    """The sentence that a stopped run ends with; ``packages`` are those that its parts come from."""
+    go_on = command_line("uavrl-train", resume=run_dir, **trusting(packages))
     if not any(run_dir.glob(ANY_CHECKPOINT)):
         return f"stopped before the first episode: start it again, or {go_on}."
     try:

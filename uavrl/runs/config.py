@@ -3,10 +3,12 @@
 import hashlib
 import io
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.errors import UavrlError
 from uavrl.runs.names import CONFIG
@@ -44,13 +46,8 @@ def free_keys(config: DictConfig) -> list[str]:
 
 def read_config(run_dir: Path) -> DictConfig:
     """The resolved configuration of a run or a policy."""
-    require_folder(run_dir)
+    require_run(run_dir)
     path = run_dir / CONFIG
-    if not path.is_file():
-        raise UavrlError(
-            f"The folder {run_dir} contains no run, because {CONFIG} is missing: pass a folder that "
-            f"uavrl-train printed."
-        )
     try:
         config = load_config(path)
     except Exception as error:
@@ -66,6 +63,23 @@ def require_folder(run_dir: Path) -> None:
         raise UavrlError(
             f"Expected a run folder at {run_dir} and found none: give the folder that uavrl-train printed."
         )
+
+
+def require_run(run_dir: Path) -> None:
+    """Refuses what is no folder of a run or a policy; loads no torch."""
+    require_folder(run_dir)
+    if not (run_dir / CONFIG).is_file():
+        raise UavrlError(
+            f"The folder {run_dir} contains no run, because {CONFIG} is missing: pass a folder that "
+            f"uavrl-train printed."
+        )
+
+
+def require_typed_run(config: DictConfig, key: str = "run") -> None:
+    """The same of the folder that a command line names; a value that is no text is refused where all others are."""
+    with suppress(OmegaConfBaseException):
+        if isinstance(folder := config[key], str) and folder.strip() and not folder.startswith("~"):
+            require_run(Path(folder))
 
 
 def load_config(path: Path) -> DictConfig:

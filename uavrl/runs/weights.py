@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from uavrl.errors import UavrlError
+from uavrl.runs.names import CONFIG
 from uavrl_onboard.files import replacing
 
 if TYPE_CHECKING:  # reports ask for a policy without torch
@@ -96,3 +97,9 @@ class WeightsFile:
 
 POLICY = WeightsFile("policy", "uavrl.policy", "a policy on its own", "export it again with uavrl-export")
 ARTIFACT = WeightsFile("artifact", "uavrl.trajectory_classifier", "an artifact", "make one with uavrl-pretrain")
+
+
+def require_free(folder: Path) -> None:
+    """Refuses a folder to export to that holds a policy or a run; loads no torch."""
+    if POLICY.is_in(folder) or (folder / CONFIG).exists():
+        raise UavrlError(f"The folder {folder} already contains a policy or a run: choose another with output=FOLDER.")

@@ -45,12 +45,12 @@ class Faults:
         second_sensor: from when to when another LiDAR sends to the same port, from a port of its own.
         pose_jump: from when to when the autopilot tells a position that is off by ``jump``.
         jump: by how much, to the east, to the north and up, m.
-        pose_drift: from when to when the told position drifts away by ``drift``, and stays there.
-        drift: how fast, to the east, to the north and up, m/s. The told velocity is the true one.
-        frozen_pose: from when to when the told pose is the first one, with no velocity, as of an estimator that hangs.
+        pose_drift: from when to when the reported position drifts away by ``drift``, and stays there.
+        drift: how fast, to the east, to the north and up, m/s. The reported velocity is true.
+        frozen_pose: from when to when the reported pose is the first one, with no velocity, as if the estimator hung.
         reset: when the autopilot's estimator resets: its counter in ODOMETRY goes up.
         clock_step: when the autopilot's clock steps, and by how much, s.
-        slow_pose: from when to when the pose is told ``pose_rate`` times per second only.
+        slow_pose: from when to when the pose is sent ``pose_rate`` times per second only.
         pose_rate: Hz.
         camera: a camera on the vehicle sends heartbeats, from the first moment on.
         signing_key_file: the autopilot signs what it sends by the key in this file, and obeys signed messages only.
@@ -190,7 +190,7 @@ class Faults:
         return _within(self.pose_silent, since)
 
     def _off(self, since: float | None) -> np.ndarray:
-        """How far the told position is off, ``[3]`` in m: east, north, up."""
+        """How far the reported position is off, ``[3]`` in m: east, north, up."""
         off = np.array(self.jump) if _within(self.pose_jump, since) else np.zeros(3)
         if self.pose_drift is not None and since is not None:
             begun, ended = self.pose_drift

@@ -5,7 +5,7 @@ import logging
 import random
 import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from torchrl.checkpoint import Checkpoint
 
 from uavrl.collectors.stall_notice import StallNotice
 from uavrl.config import learner_name, validate
-from uavrl.config.command_line import command_line
+from uavrl.config.command_line import command_line, trusting
 from uavrl.config.settings import TrainConfig
 from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import checkpoint_to_resume, has_no_checkpoint, how_to_go_on, restore
@@ -44,14 +44,14 @@ def create_run(config: DictConfig) -> Path:
     """Makes the run folder with its resolved configuration."""
     run_dir = Path(str(config.run_dir))
     check_links(run_dir, TRAINING)
-    _refuse_a_run(run_dir)
+    _refuse_a_run(run_dir, config.packages)
     # recorded: both bear on the last digits
     config.trainer.execution = chosen_execution(config.trainer.execution)
     config.trainer.matmul = chosen_matmul(config.trainer.matmul, config.trainer.threads)
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
         with run_lock(run_dir):
-            _refuse_a_run(run_dir)
+            _refuse_a_run(run_dir, config.packages)
             reset_unstarted_run(run_dir)
             (run_dir / BEGUN).touch()
             _write(config, run_dir)
@@ -62,13 +62,13 @@ def create_run(config: DictConfig) -> Path:
     return run_dir
 
 
-def _refuse_a_run(run_dir: Path) -> None:
+def _refuse_a_run(run_dir: Path, packages: Iterable[str]) -> None:
     if has_no_checkpoint(run_dir):
         return
     if any(run_dir.glob(ANY_CHECKPOINT)):
+        go_on = command_line("uavrl-train", resume=run_dir, **trusting(packages))
         raise FolderTaken(
-            f"The run folder {run_dir} already contains a run: "
-            f"resume it with {command_line('uavrl-train', resume=run_dir)}, or choose another run_dir."
+            f"The run folder {run_dir} already contains a run: resume it with {go_on}, or choose another run_dir."
         )
     if any((run_dir / name).exists() for name in (CONFIG, EPISODES, ARTIFACT)):
         raise FolderTaken(
@@ -103,9 +103,10 @@ def train(
         except BaseException as error:
             if stop.signal is None and not was_interrupted(error):
                 if isinstance(error, FlyingEnded):
-                    raise FlyingEnded(error.reason, how_to_go_on(run_dir) + hint_of_shared_memory()) from error
+                    go_on = how_to_go_on(run_dir, config.packages) + hint_of_shared_memory()
+                    raise FlyingEnded(error.reason, go_on) from error
                 raise
-            raise Stopped(how_to_go_on(run_dir), stop.signal or signal.SIGINT) from None
+            raise Stopped(how_to_go_on(run_dir, config.packages), stop.signal or signal.SIGINT) from None
 
 
 def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], None], *, resume: bool) -> dict[str, Any]:

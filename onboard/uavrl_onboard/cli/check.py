@@ -28,7 +28,7 @@ _SILENT = {"set_mode": False, "arm": False}
 
 ABOUT = About(
     "uavrl-check",
-    "looks before take-off whether all that a flight needs is there; it sends nothing that could move the vehicle.",
+    "Checks before take-off that everything is ready for a flight. It sends nothing that could move the vehicle.",
     ["policy=FOLDER model=VLP16 goal=[20,5,2.5]", "policy=FOLDER model=VLP16 goal=[20,5,2.5] json=FILE"],
     "policy goal lidar model metadata vehicle autopilot system signing_key_file seconds log json",
 )

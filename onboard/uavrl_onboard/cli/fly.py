@@ -137,7 +137,7 @@ class FlyConfig(LidarKeys):
 
 ABOUT = About(
     "uavrl-fly",
-    "flies a vehicle by its LiDAR with an exported policy, or rehearses it.",
+    "Flies a vehicle with an exported policy, its LiDAR and its autopilot, or rehearses a flight.",
     [
         "policy=FOLDER model=VLP16 goal=[20,5,2.5] set_mode=true",
         "policy=FOLDER model=VLP16 goal=[20,0,2.5] autopilot=null",

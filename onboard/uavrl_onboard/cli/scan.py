@@ -64,7 +64,7 @@ class ScanConfig(LidarKeys):
 
 ABOUT = About(
     "uavrl-scan",
-    "shows what a LiDAR sees, and what a policy would see of it.",
+    "Shows the scans of a LiDAR, and the cells that a policy would compute from them.",
     [
         "source=udp://:2368 model=VLP16",
         "source=FILE model=VLP16 json=FILE",

@@ -14,7 +14,7 @@ from contextlib import closing
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar.packets import PORT
 
-NOTHING_CAME = "no packet arrived; the sensor sends to the address and the port that its own page has as host."
+NOTHING_CAME = "no packet arrived. Set this computer's address and the port as the host on the sensor's own web page."
 _ADDRESS = re.compile(r"udp://(?P<host>[^:/]*)(?::(?P<port>\d{1,5}))?/?")
 _BUFFER = 2**23  # bytes that the system keeps for us, if it may: some turns of any sensor, in case we are late
 _LONGEST = 2**16  # bytes of a packet that are read, which is any

@@ -137,6 +137,8 @@ def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, 
     run_dir = Path(shutil.copytree(whole, tmp_path / "run"))
     rotation(run_dir).latest().write_bytes(b"")
     assert how_to_go_on(run_dir) == f"stopped: resume with uavrl-train resume={run_dir}."
+    trusted = how_to_go_on(run_dir, ["own_parts"])
+    assert trusted == f"stopped: resume with uavrl-train resume={run_dir} 'packages=[own_parts]'."
 
 
 # ---------------------------------------------------------------------- the processes of a suite

@@ -95,7 +95,7 @@ def test_without_a_scan_it_says_why(policy: Path, capsys: pytest.CaptureFixture[
     assert in_process(fly.main, f"policy={policy}", GOAL, *where) == 0
     out = capsys.readouterr().out
     assert "0.0 s  silent (no_scan): there is no scan" in out
-    assert out.count("No scan has come for 3 s: no packet arrived; the sensor sends to the address") == 1
+    assert out.count("No scan has come for 3 s: no packet arrived. Set this computer's address") == 1
 
 
 def test_a_flight_is_logged(policy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

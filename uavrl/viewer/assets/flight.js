@@ -58,7 +58,7 @@ function goalShape([x, y, z], [radius, height]) {
 // Index of each trace; those from FLOWN on move.
 const [GROUND, OBSTACLES, GOAL_WALL, GOAL_RINGS, GOAL_NAME, OTHERS, WAY, START, FLOWN, DROP, PLANES, OBJECTS, LEAD, VEHICLE, MARK,
   POINTS, EDGES, FACES] = Array(18).keys();
-const LAYERS = [["planes", [PLANES], PLANE], ["seen to move", [OBJECTS], SEEN], ["memory's way", [LEAD], LED],
+const LAYERS = [["planes", [PLANES], PLANE], ["seen to move", [OBJECTS], SEEN], ["map's direction", [LEAD], LED],
   ["point cloud", [POINTS], "#f0653a"], ["cells", [FACES, EDGES], CELLS],
   [data.states ? "all scans" : "obstacles", [OBSTACLES], "#6b8f5e"], ["path", [WAY, FLOWN, START], null], ["other flights", [OTHERS], OTHERS]];
 const hidden = new Set();
@@ -295,7 +295,7 @@ function choose(index) {
   $("outcome").textContent = name;
   $("outcome").style.background = colour;
   list($("facts"), flight.facts ?? { task: flight.task, valley: flight.world_seed, time: `${number(flight.steps / 10, 1)} s`,
-    "path efficiency": number(flight.path_efficiency), "least clearance": `${number(flight.clearance)} m` });
+    "path efficiency": number(flight.path_efficiency), "minimum clearance": `${number(flight.clearance)} m` });
   list($("position_stats"), flight.position_stats ? went(flight.position_stats) : {});
   list($("smoothness"), flight.smoothness ?? {});
   $("notes").replaceChildren();
@@ -381,7 +381,7 @@ function start() {
   for (const [name, which, colour] of LAYERS) {
     if (name === "planes" && flights.every((item) => !item.planeCount)) continue;
     if (name === "seen to move" && flights.every((item) => !item.objectCount)) continue;
-    if (name === "memory's way" && flights.every((item) => !item.bearings?.length)) continue;
+    if (name === "map's direction" && flights.every((item) => !item.bearings?.length)) continue;
     if (name === "other flights" && flights.length < 2) continue;
     const button = element("button", { class: "on" }, $("layers"));
     if (colour) element("i", { style: `background:${colour === OTHERS ? othersColours() : colour}` }, button);

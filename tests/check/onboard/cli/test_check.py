@@ -71,7 +71,7 @@ def test_a_vehicle_that_is_ready_and_one_whose_lidar_is_silent(policy: Path, tmp
         code, levels, printed = checked(policy, tmp_path, goal, link, f"lidar=udp://127.0.0.1:{silent}")
         assert code == 1 and "do not take off" in printed, printed
         assert {name for name, level in levels.items() if level == "fail"} == {"scans", "guards", "latency"}
-        assert "No scan has come in 6 s: no packet arrived; the sensor sends to the address" in printed
+        assert "No scan has come in 6 s: no packet arrived. Set this computer's address" in printed
     assert told["setpoints"] == 0 and [mode for _, mode, _ in told["modes"]] == ["AUTO.LOITER"], "nothing was sent"
     assert not (tmp_path / "flight.mcap").exists()
 
