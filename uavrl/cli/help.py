@@ -14,7 +14,7 @@ ABOUT = {
     "evaluate": ("uavrl-evaluate", "Rolls out a policy in fixed tasks without noise: its success rate."),
     "replay": ("uavrl-replay", "Writes a page that plays a few tasks back, flown without noise."),
     "report": ("uavrl-report", "Compares any number of runs in one page: curves, rates, intervals."),
-    "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away."),
+    "export": ("uavrl-export", "Writes the policy of a run on its own, small enough to give away, or its data set."),
     "sitl": ("uavrl-sitl", "Plays a vehicle in the simulator: VLP-16 packets and MAVLink by UDP."),
     "pretrain": ("uavrl-pretrain", "Learns the trajectory classifier of ABR⁺ from a run's states."),
 }
@@ -33,7 +33,7 @@ EXAMPLES = {
     ],
     "replay": ["policy=best tasks=[0,1,2,3]", "run=RUN_FOLDER task=7"],
     "report": ["runs=runs", "runs=[RUN_FOLDER,RUN_FOLDER] output=compare.html"],
-    "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],
+    "export": ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy", "run=RUN_FOLDER data=my_data"],
     "sitl": ["task=3 json=task.json", "valleys=[100] randomize=real", "speed=lockstep firmware=ardupilot"],
     "pretrain": ["run=RUN_FOLDER", "run=RUN_FOLDER pretrain=quick"],
 }
@@ -43,7 +43,7 @@ MOST_USED = {
     "evaluate": "run policy episodes suite valleys output seed checkpoint num_uavs",
     "replay": "run policy task tasks output checkpoint",
     "report": "runs output window threshold title",
-    "export": "run policy output checkpoint",
+    "export": "run policy output data checkpoint",
     "sitl": "task seed valleys lidar autopilot firmware armed speed patience linger pilot_takes_over json",
     "pretrain": "run output seed",
 }
