@@ -83,7 +83,10 @@ def test_an_unknown_run_and_a_taken_folder_are_refused(
         (["policy=straight", new], "got 'straight': to export your own give run=RUN_FOLDER"),
         ([f"run={run_dir}"], "output must be a folder to write the policy to, and none is given: add output=my_policy"),
         (["policy=best"], "output must be a folder to write the policy to, and none is given: add output=best."),
-        ([f"data={tmp_path / 'new'}", "policy=best"], "data= writes the data set of a run, and none is given: add run=RUN"),
+        (
+            [f"data={tmp_path / 'new'}", "policy=best"],
+            "data= writes the data set of a run, and none is given: add run=RUN",
+        ),
         ([f"run={run_dir}", f"data={policy}"], "already exists and is not an empty folder: choose another with data="),
         ([f"run={policy}", f"data={tmp_path / 'new'}"], "Expected a checkpoint in"),
         ([f"run={run_dir}", new, "chekpoint=1"], "There is no key 'chekpoint': did you mean checkpoint?"),

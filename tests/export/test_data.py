@@ -239,7 +239,7 @@ def _link(folder: Path, mark: Path) -> None:
 def test_nothing_in_a_foreign_folder_is_executed_or_followed(change: Any, data: Path, tmp_path: Path) -> None:
     folder = copied(data, tmp_path / "data")
     change(folder, tmp_path / "ran")
-    with pytest.raises(UavrlError, match="none of it was loaded|leads out of"):
+    with pytest.raises(UavrlError, match=r"none of it was loaded|leads out of"):
         uavrl.load_data(folder)
     assert not (tmp_path / "ran").exists()
 
@@ -253,7 +253,7 @@ def test_a_damaged_or_other_data_set_is_refused(data: Path, tmp_path: Path) -> N
     rows = json.loads(about.read_text())
     rows["action"]["shape"][0] -= 1
     about.write_text(json.dumps(rows))
-    with pytest.raises(UavrlError, match="is damaged .*in all entries"):
+    with pytest.raises(UavrlError, match=r"is damaged .*in all entries"):
         uavrl.load_data(folder)
     (folder / "storage/meta.json").unlink()
     with pytest.raises(UavrlError, match=r"is damaged .*meta\.json is missing"):

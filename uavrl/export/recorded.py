@@ -110,9 +110,9 @@ def read_recorded(run_dir: Path, checkpoint: str | None = None) -> Recorded:
 def _ends(storage: FrameStorage) -> Tensor:
     """Whether each transition is the last of its episode, ``[len]``."""
     done = storage.column(("next", "done")).flatten()
-    if "steps_to_next_obs" in storage.get(slice(0, 1)).keys():  # n-step transitions are done before the end
-        return done & (storage.column("steps_to_next_obs").flatten() == 1)
-    return done
+    if storage.get(slice(0, 1)).get("steps_to_next_obs", None) is None:
+        return done
+    return done & (storage.column("steps_to_next_obs").flatten() == 1)  # n-step transitions are done before the end
 
 
 def load_data(

@@ -159,7 +159,8 @@ def _size(entry: dict[str, Any]) -> int:
 
 
 def _refused(path: Path, what: str) -> UavrlError:
+    kind = "folder" if path.is_dir() else "checkpoint"
     return UavrlError(
-        f"The {'folder' if path.is_dir() else 'checkpoint'} {path} holds {what}, which uavrl does not write: none of it was loaded, as it may be meant "
+        f"The {kind} {path} holds {what}, which uavrl does not write: none of it was loaded, as it may be meant "
         f"to run a program; ask whoever made it for the folder that uavrl-export writes."
     )
