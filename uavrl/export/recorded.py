@@ -19,8 +19,7 @@ from torchrl.data import ImmutableDatasetWriter, Storage, TensorDictReplayBuffer
 from uavrl.buffers import FrameStorage
 from uavrl.buffers.sequences import EPISODE
 from uavrl.errors import UavrlError
-from uavrl.evaluation.actor import checkpoint_path
-from uavrl.runs.checkpoint import BufferState, check_checkpoint, restore
+from uavrl.runs.checkpoint import BufferState, check_checkpoint, checkpoint_path, restore
 from uavrl.runs.config import read_config
 from uavrl.runs.names import CHECKPOINTS, CONFIG
 from uavrl.runs.trust import check_links, check_tensors
