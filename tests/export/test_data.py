@@ -38,7 +38,7 @@ DEMONSTRATED = [
     *("perception=range_image", "perception.last_action=true", "buffer.mirror=true", "demonstrator=vfh"),
     *("cloning=dagger", "cloning.steps=1000", "cloning.batch_size=8", "cloning.updates_per_step=0.05"),
     *("trainer.episodes=14", "trainer.checkpoint_interval=1000", "trainer.execution=eager", "algo.gamma=0.9"),
-    *("env.world.goal_radius=3.5", "env.max_steps=20"),  # some arrive
+    *("env.world.goal_radius=7", "env.max_steps=25"),  # some arrive
 ]
 EXAMPLE = re.search(r"^```python\n(.*?)```", (ROOT / "docs/howto/data.md").read_text(), re.MULTILINE | re.DOTALL)[1]  # type: ignore[index]
 
@@ -108,7 +108,7 @@ def fly(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Path, l
     ("overrides", "n_steps"),
     [
         ((), 1),
-        (("algo.n_steps=3", "buffer.capacity=70"), 3),
+        (("algo.n_steps=3", "buffer.capacity=30"), 3),
         (("algo.n_steps=3", "recurrent=gru"), 3),
     ],
     ids=["stacked", "overwritten", "memory"],
@@ -121,8 +121,8 @@ def test_what_is_read_is_what_was_flown(
     about = export_data(run, None, tmp_path / "data")
     found = TensorDict.load_memmap(tmp_path / "data/storage", allow_pickle=False)
     kept = about["episodes"]
-    if "buffer.capacity=70" in overrides:  # the newest whole episodes
-        assert 0 < kept < 14 and sum(map(len, episodes[-kept - 1 :])) > 70 >= len(found)
+    if "buffer.capacity=30" in overrides:  # the newest whole episodes
+        assert 0 < kept < 14 and sum(map(len, episodes[-kept - 1 :])) > 30 >= len(found)
         wanted = wanted[-len(found) :]
         wanted["episode"] -= 14 - kept
     else:
@@ -168,11 +168,12 @@ def test_torchrl_trains_on_it_where_there_is_no_uavrl(data: Path) -> None:
     """The example of the page, in a process of its own; the storage loads it, too."""
     script = f"""
 import hashlib, sys
+from pathlib import Path
 sys.modules.update(uavrl=None, uavrl_onboard=None)
 {EXAMPLE}
 from torchrl.data import LazyMemmapStorage
 storage = LazyMemmapStorage(len(data))
-storage.loads("my_data/storage")
+storage.loads(Path("my_data/storage"))
 assert (storage.get(range(len(data))) == data).all()
 print(hashlib.sha256(data["observation"].numpy().tobytes()).hexdigest())
 print(sum(losses[:5]), sum(losses[-5:]))
