@@ -122,7 +122,7 @@ def test_what_is_read_is_what_was_flown(
     found = TensorDict.load_memmap(tmp_path / "data/storage", allow_pickle=False)
     kept = about["episodes"]
     if "buffer.capacity=30" in overrides:  # the newest whole episodes
-        assert 0 < kept < 14 and sum(map(len, episodes[-kept - 1 :])) > 30 >= len(found)
+        assert 0 < kept < 14 and sum(map(len, episodes[-kept - 1 :])) >= 30 >= len(found)
         wanted = wanted[-len(found) :]
         wanted["episode"] -= 14 - kept
     else:
@@ -139,7 +139,7 @@ def test_what_is_read_is_what_was_flown(
 
     for buffer in (uavrl.load_data(tmp_path / "data"), uavrl.load_data(run)):
         assert differing(buffer.storage[:], found) == set()
-        assert differing(buffer[torch.tensor([5, 3])].exclude("index"), found[torch.tensor([5, 3])]) == set()
+        assert differing(buffer[torch.tensor([1, 0])].exclude("index"), found[torch.tensor([1, 0])]) == set()
 
     told = json.loads((tmp_path / "data/data.json").read_text())
     shapes = {tuple(key.split(".")): (entry["shape"], entry["dtype"]) for key, entry in told["keys"].items()}
