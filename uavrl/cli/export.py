@@ -33,11 +33,8 @@ class ExportConfig:
         """Checks the guards, and that there is a place to write to."""
         guard_settings(self.guards, GuardSettings.all())
         if self.output is None and self.data is None:
-            name = self.policy or "my_policy"
-            raise UavrlError(
-                f"output must be a folder to write the policy to, and none is given: add output={name}, or "
-                f"data=my_data for the data set of a run."
-            )
+            add = f"output={self.policy}" if self.policy else "output=my_policy, or data=my_data for the data set"
+            raise UavrlError(f"output must be a folder to write the policy to, and none is given: add {add}.")
         if self.data is not None and self.run is None:
             raise UavrlError("data= writes the data set of a run, and none is given: add run=RUN_FOLDER.")
 
