@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from uavrl.envs import Airframe, LidarConfig, NavigationEnv, Randomization, WorldConfig
     from uavrl.errors import UavrlError
     from uavrl.evaluation.policies import load_policy
+    from uavrl.export.recorded import load_data
     from uavrl.losses import ActionRate, DDPGLoss, Fork, Imitation, LifeGuard, SACLoss, TD3Loss
     from uavrl.models import Actor, Critic, GaussianActor
     from uavrl.transforms import (
@@ -59,6 +60,7 @@ __all__ = [
     "TruncatedIcosahedron",
     "UavrlError",
     "WorldConfig",
+    "load_data",
     "load_policy",
 ]
 
@@ -67,6 +69,7 @@ _ROOMS = {
     "envs": ("Airframe", "LidarConfig", "NavigationEnv", "Randomization", "WorldConfig"),
     "errors": ("UavrlError",),
     "evaluation.policies": ("load_policy",),
+    "export.recorded": ("load_data",),
     "losses": ("ActionRate", "DDPGLoss", "Fork", "Imitation", "LifeGuard", "SACLoss", "TD3Loss"),
     "models": ("Actor", "Critic", "GaussianActor"),
     "transforms": (

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from omegaconf import OmegaConf
 
 from tests.helpers.commands import SMALL_EVALUATION, content, in_process
+from tests.helpers.states import checkpoint_run
 from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import export as export_command
 from uavrl.cli import replay as replay_command
@@ -80,11 +83,43 @@ def test_an_unknown_run_and_a_taken_folder_are_refused(
         (["policy=straight", new], "got 'straight': to export your own give run=RUN_FOLDER"),
         ([f"run={run_dir}"], "output must be a folder to write the policy to, and none is given: add output=my_policy"),
         (["policy=best"], "output must be a folder to write the policy to, and none is given: add output=best."),
+        (
+            [f"data={tmp_path / 'new'}", "policy=best"],
+            "data= writes the data set of a run, and none is given: add run=RUN",
+        ),
+        ([f"run={run_dir}", f"data={policy}"], "already exists and is not an empty folder: choose another with data="),
+        ([f"run={policy}", f"data={tmp_path / 'new'}"], "Expected a checkpoint in"),
         ([f"run={run_dir}", new, "chekpoint=1"], "There is no key 'chekpoint': did you mean checkpoint?"),
     ]:
         assert in_process(export_command.main, *arguments) == 1
         assert said in capsys.readouterr().err
     assert content(policy) == before
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_data_set_of_a_run(run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = tmp_path / "some/data"
+    both = [f"run={run_dir}", f"data={data}", f"output={tmp_path / 'both'}"]
+    assert in_process(export_command.main, *both) == 0
+    about = json.loads((data / "data.json").read_text())
+    assert about["episodes"] == 4 and about["transitions"] > 4
+    said = f"Exported {about['transitions']} transitions of 4 episodes to {data}. TorchRL reads {data / 'storage'}; "
+    assert said in capsys.readouterr().out
+    assert (tmp_path / "both/policy.json").is_file()
+    assert str(run_dir) not in (data / "data.json").read_text()
+
+
+def test_without_episodes_and_without_room_there_is_no_data_set(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint_run(tmp_path / "empty", [])
+    new = f"data={tmp_path / 'new'}"
+    assert in_process(export_command.main, f"run={tmp_path / 'empty'}", new) == 1
+    assert "Expected whole episodes in the replay buffer of" in capsys.readouterr().err
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1000))
+    assert in_process(export_command.main, f"run={run_dir}", new) == 1
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "MB are needed and 0.0 MB are left" in said and str(tmp_path / "new") in said
     assert not (tmp_path / "new").exists()
 
 

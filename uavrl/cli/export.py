@@ -1,4 +1,4 @@
-"""``uavrl-export``: the policy of a run on its own, small enough to give away."""
+"""``uavrl-export``: the policy of a run on its own, small enough to give away, and the data set of a run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +21,7 @@ from uavrl_onboard.ranges import Folder, Text
 
 @dataclass
 class ExportConfig:
-    """conf/export.yaml: one policy on its own."""
+    """conf/export.yaml: one policy on its own, or the data set of one run."""
 
     packages: tuple[Text, ...] = ()
     run: Folder | None = None
@@ -29,25 +29,45 @@ class ExportConfig:
     checkpoint: Folder | None = None
     guards: Any = None
     output: Folder | None = None
+    data: Folder | None = None
 
     def __post_init__(self) -> None:
         """Checks the guards, and that there is a place to write to."""
         guard_settings(self.guards, GuardSettings.all())
-        if self.output is None:
-            name = self.policy or "my_policy"
-            raise UavrlError(f"output must be a folder to write the policy to, and none is given: add output={name}.")
+        if self.output is None and self.data is None:
+            add = f"output={self.policy}" if self.policy else "output=my_policy, or data=my_data for the data set"
+            raise UavrlError(f"output must be a folder to write the policy to, and none is given: add {add}.")
+        if self.data is not None and self.run is None:
+            raise UavrlError("data= writes the data set of a run, and none is given: add run=RUN_FOLDER.")
 
 
 @command("export")
 def main(config: DictConfig) -> None:
-    """Writes weights, configuration, contract and model card; evaluation and replay take the folder as ``run=``."""
+    """Writes weights, configuration, contract and model card, which other commands take as ``run=``, or a data set."""
     settings = validate(config, ExportConfig)
-    folder, output = policy_folder(settings.run, settings.policy), Path(str(settings.output))
+    folder = policy_folder(settings.run, settings.policy)
     if folder is None:
         raise unknown_policy(str(settings.policy), packaged_policies(), "to export your own give run=RUN_FOLDER.")
     require_run(folder)
-    require_free(output)
-    # Imported here: --help, a mistyped key and a wrong folder answer without loading torch.
+    if settings.output is not None:
+        require_free(Path(settings.output))
+    if settings.data is not None:
+        _export_data(folder, settings.checkpoint, Path(settings.data), settings.packages)
+    if settings.output is not None:
+        _export_policy(folder, Path(settings.output), settings)
+
+
+def _export_data(folder: Path, checkpoint: str | None, data: Path, packages: tuple[str, ...]) -> None:
+    # Imported here: --help and a mistyped key answer without loading torch.
+    from uavrl.export.data import export_data
+    from uavrl.export.recorded import DATA, STORAGE
+
+    about = export_data(folder, checkpoint, data, packages)
+    size = f"{pluralize(about['transitions'], 'transition')} of {pluralize(about['episodes'], 'episode')}"
+    print(f"Exported {size} to {data}. TorchRL reads {data / STORAGE}; {data / DATA} describes it.")
+
+
+def _export_policy(folder: Path, output: Path, settings: ExportConfig) -> None:
     from uavrl.export.export import export_policy
     from uavrl.export.model_card import CARD
 

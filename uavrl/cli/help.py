@@ -35,9 +35,9 @@ ABOUT = {
     ),
     "export": About(
         "uavrl-export",
-        "Writes the policy of a run on its own, small enough to give away.",
-        ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy"],
-        "run policy output checkpoint",
+        "Writes the policy of a run on its own, small enough to give away, or its data set.",
+        ["run=RUN_FOLDER output=my_policy", "policy=best output=my_policy", "run=RUN_FOLDER data=my_data"],
+        "run policy output data checkpoint",
     ),
     "sitl": About(
         "uavrl-sitl",

@@ -170,9 +170,9 @@ def _prepared(settings: ReplayConfig, config: DictConfig, overrides: list[str]) 
     """Loads policy and environment; the call that it returns records the episodes."""
     import torch
 
-    from uavrl.evaluation.actor import checkpoint_path
     from uavrl.evaluation.environment import make_device, make_env
     from uavrl.evaluation.record import record_flights
+    from uavrl.runs.checkpoint import checkpoint_path
     from uavrl.training.build import load_risk
 
     torch.set_num_threads(settings.threads)

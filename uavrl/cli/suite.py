@@ -204,6 +204,6 @@ def _changed(settings: EvaluateConfig) -> float:
         return max(0.0 if file is None else file.stat().st_mtime for file in files)
     if settings.checkpoint is None and POLICY.is_in(folder):
         return (folder / POLICY.json).stat().st_mtime
-    from uavrl.evaluation.actor import checkpoint_path
+    from uavrl.runs.checkpoint import checkpoint_path
 
     return checkpoint_path(folder, settings.checkpoint).stat().st_mtime

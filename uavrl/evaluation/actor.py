@@ -15,7 +15,7 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env
 from uavrl.evaluation.loaded import LoadedPolicy
 from uavrl.losses.networks import NetworkSizes, make_actor, network_sizes
-from uavrl.runs.checkpoint import check_checkpoint, latest_checkpoint, restore
+from uavrl.runs.checkpoint import check_checkpoint, checkpoint_path, restore
 from uavrl.runs.config import read_config
 from uavrl.runs.names import CONFIG
 from uavrl.runs.provenance import recorded_versions
@@ -56,14 +56,6 @@ def read_policy(
     config, actor, about = load_actor(folder, checkpoint, device, packages)
     source = {"run": str(folder), **{key: about[key] for key in POLICY_INFO if key in about}}
     return LoadedPolicy(actor, config, source, inputs=about["inputs"])
-
-
-def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
-    """The file of the checkpoint named, or of the run's newest."""
-    path = Path(checkpoint) if checkpoint else latest_checkpoint(run_dir)
-    if not path.is_file():
-        raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
-    return path
 
 
 def saved_sizes(settings: TrainConfig) -> NetworkSizes:

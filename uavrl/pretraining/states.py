@@ -1,7 +1,6 @@
 """The states of a training run, out of the replay buffer of its newest checkpoint."""
 
 import hashlib
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,18 +8,12 @@ from typing import Any
 import numpy as np
 import torch
 from omegaconf import OmegaConf
-from tensordict import TensorDict
-from torchrl.checkpoint import Checkpoint
 
-from uavrl.buffers import FrameStorage
 from uavrl.errors import UavrlError
+from uavrl.export.recorded import read_recorded
 from uavrl.models.psae import form_of_states
-from uavrl.runs.checkpoint import BufferState, check_checkpoint, latest_checkpoint, restore
-from uavrl.runs.config import read_config
-from uavrl.runs.names import CHECKPOINTS, CONFIG, PRETRAINED
+from uavrl.runs.names import PRETRAINED
 from uavrl.runs.trust import check_links
-
-_PART = 100_000  # states that are read at a time
 
 
 @dataclass(frozen=True)
@@ -65,20 +58,6 @@ def triple_centres(episode: np.ndarray) -> np.ndarray:
     return np.flatnonzero(inside) + 1
 
 
-class _StoredTransitions(BufferState):
-    """The transitions of a checkpoint's replay buffer, whatever sampler it has."""
-
-    def __init__(self) -> None:
-        self.storage = FrameStorage(1)
-        self.next_place = 0  # where the next transition would have gone
-
-    def load(self, path: Path) -> None:
-        """Reads the files of a :class:`~uavrl.runs.checkpoint.BufferState`."""
-        if json.loads((path / "length.json").read_text(encoding="utf-8")):
-            self.storage = FrameStorage.saved_at(path / "storage")
-            self.next_place = int(json.loads((path / "writer/metadata.json").read_text(encoding="utf-8"))["cursor"])
-
-
 def read_states(run_dir: Path) -> States:
     """The states of the whole episodes in a run's folder, in the order in which they were collected.
 
@@ -87,45 +66,14 @@ def read_states(run_dir: Path) -> States:
     Raises:
         UavrlError: when there is no run, its checkpoint is damaged, or it holds no whole episode of finite states.
     """
-    check_links(run_dir, (CONFIG, CHECKPOINTS, PRETRAINED))
-    path = latest_checkpoint(run_dir)
-    config = read_config(run_dir)
-    check_checkpoint(path, config)
-    stored = _StoredTransitions()
-    restore(Checkpoint(replay_data=stored), path, ["replay_data"])
-    full = len(stored.storage) >= int(config.buffer.capacity)
-    steps = _in_order(stored.storage, stored.next_place if full else 0)
-    last = steps["last"].nonzero().flatten()
-    first = int(last[0]) + 1 if full and len(last) else 0
-    last = last[last >= first]
-    if not len(last):
-        raise UavrlError(f"Expected whole episodes in the replay buffer of {path} and found none: train it longer.")
-    states = steps["observation"][first : int(last[-1]) + 1].float()
+    check_links(run_dir, (PRETRAINED,))
+    recorded = read_recorded(run_dir)
+    states = torch.cat([part["observation"].float() for part in recorded.parts()])
     if not states.isfinite().all():
         raise UavrlError(f"Expected finite states in {run_dir}, found NaN or infinity: train another run.")
-    episode = torch.arange(len(last)).repeat_interleave(last.diff(prepend=torch.tensor([first - 1])))
-    ends = steps[last]
-    outcomes = [
-        "arrived" if arrived else "collided" if terminated else "timed_out"
-        for arrived, terminated in zip(ends["arrived"].tolist(), ends["terminated"].tolist(), strict=True)
-    ]
-    seen = OmegaConf.to_container(config).get("perception") or {}  # type: ignore[union-attr]
+    seen = OmegaConf.to_container(recorded.config).get("perception") or {}  # type: ignore[union-attr]
     if not isinstance(seen, dict):
         raise UavrlError(f"Expected perception in the configuration of {run_dir} to be a mapping, got {seen!r:.80}.")
-    name = f"{run_dir.resolve().name}/{path.relative_to(run_dir)}"  # of no place on this machine: it is given away
-    return States(states.numpy(), episode.numpy(), outcomes, name, form_of_states(seen))
-
-
-def _in_order(storage: FrameStorage, oldest: int) -> TensorDict:
-    """States and flags of each stored step ``[N]``, from the place of the oldest on."""
-    if not len(storage):
-        return TensorDict({"last": torch.zeros(0, dtype=torch.bool)}, [0])
-    parts = []
-    for places in torch.arange(len(storage)).roll(-oldest).split(_PART):  # in parts: next states are read too
-        found = storage.get(places)
-        flags = {key: found["next", key].flatten() for key in ("done", "terminated", "arrived")}
-        last = flags.pop("done")
-        if (ahead := found.get("steps_to_next_obs", None)) is not None:  # n-step transitions are done before the end
-            last = last & (ahead.flatten() == 1)
-        parts.append(TensorDict({"observation": found["observation"], "last": last, **flags}, [len(places)]))
-    return torch.cat(parts)
+    # Of no place on this machine: it is given away.
+    name = f"{run_dir.resolve().name}/{recorded.path.relative_to(run_dir)}"
+    return States(states.numpy(), recorded.episode.numpy(), recorded.outcomes(), name, form_of_states(seen))

@@ -95,6 +95,14 @@ def latest_checkpoint(run_dir: Path) -> Path:
     return all_checkpoints(run_dir)[-1]
 
 
+def checkpoint_path(run_dir: Path, checkpoint: str | None) -> Path:
+    """The file of the checkpoint named, or of the run's newest."""
+    path = Path(checkpoint) if checkpoint else latest_checkpoint(run_dir)
+    if not path.is_file():
+        raise UavrlError(f"Expected a checkpoint at {path} and found none: leave checkpoint out to take the newest.")
+    return path
+
+
 def check_checkpoint(path: Path, config: DictConfig) -> dict[str, Any]:
     """The metadata of an archive that is whole, has nothing in it that can run, and belongs to ``config``."""
     try:

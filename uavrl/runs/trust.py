@@ -22,6 +22,7 @@ _BUFFER = re.compile(
     r"length\.json|writer/metadata\.json|sampler/(sampler_metadata\.json|(sum|min)tree\.memmap)"
     r"|storage/(\w+/)*(meta\.json|\w+\.memmap)"
 )
+_STORAGE = re.compile(r"storage_metadata\.json|(\w+/)*(meta\.json|\w+\.memmap)")
 _FILES = {"torchrl.state_dict": _STATE, "torchrl.dump_load": _BUFFER}  # what each of TorchRL's adapters may read
 _COLLECTION = "<class 'tensordict._td.TensorDict'>"
 _KINDS = {"tensor", "value", "dict", "ordered_dict", "list", "tuple", "torch_size"}  # in a state.json
@@ -57,6 +58,25 @@ def check_archive(path: Path) -> dict[str, Any]:
             elif name.endswith("/meta.json"):
                 _check_tensors(path, name, json.loads(archive.read(name)), sizes)
     return manifest
+
+
+def check_tensors(folder: Path) -> None:
+    """Refuses a folder that holds anything but a tensordict of plain tensors, as TorchRL's storages write it.
+
+    Raises:
+        UavrlError: when it holds anything else, or a tensor of another size than it is said to have.
+        OSError, ValueError: when it is damaged.
+    """
+    sizes = {
+        path.relative_to(folder).as_posix(): path.stat().st_size for path in folder.rglob("*") if not path.is_dir()
+    }
+    for name in sizes:
+        if _STORAGE.fullmatch(name) is None:
+            raise _refused(folder, name)
+        if name.endswith("meta.json"):
+            _check_tensors(folder, name, json.loads((folder / name).read_bytes()), sizes)
+    if "meta.json" not in sizes:
+        raise FileNotFoundError(f"meta.json is missing in {folder}")
 
 
 def check_links(folder: Path, names: Iterable[str]) -> None:
@@ -139,7 +159,8 @@ def _size(entry: dict[str, Any]) -> int:
 
 
 def _refused(path: Path, what: str) -> UavrlError:
+    kind = "folder" if path.is_dir() else "checkpoint"
     return UavrlError(
-        f"The checkpoint {path} holds {what}, which uavrl does not write: none of it was loaded, as it may be meant "
+        f"The {kind} {path} holds {what}, which uavrl does not write: none of it was loaded, as it may be meant "
         f"to run a program; ask whoever made it for the folder that uavrl-export writes."
     )

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.helpers.commands import in_process
+from tests.helpers.commands import TINY, in_process
+from tests.helpers.finished import finished_run
 from tests.helpers.folders import ROOT
 from uavrl.cli import export
 from uavrl.config import compose, validate
@@ -38,7 +39,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_each_page_with_python_is_run_here() -> None:
     assert {page for page in PAGES if blocks(page, "python")} == {
-        *("gpu", "guards", "lidar", "moving_obstacles", "onnx", "sensors", "teachers", "vehicle")
+        *("data", "gpu", "guards", "lidar", "moving_obstacles", "onnx", "sensors", "teachers", "vehicle")
     }
 
 
@@ -99,6 +100,21 @@ def test_guards(run: Any, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_device_that_fits_each_machine(run: Any) -> None:
     assert run("gpu")["policy"].source["training_steps"] > 0
+
+
+def test_the_data_of_a_run(run: Any, tmp_path: Path) -> None:
+    chosen = ["preset=dagger", "collector=sync", "env.world.seeds=[0]"]
+    folder = finished_run(tmp_path / "run", *TINY, *chosen)
+    (command,) = blocks("data", "sh")
+    command = command.replace("RUN_FOLDER", str(folder))
+    assert in_process(export.main, *command.split()[1:]) == 0
+    names = run("data")
+    assert sum(names["losses"][-5:]) < 0.3 * sum(names["losses"][:5])
+    assert names["batch"]["observation"].shape == (256, 237)
+    wide, kept = (set(names[name].keys(True, True)) for name in ("batch", "data"))
+    assert wide - {"index"} == kept
+    told = re.findall(r"^\| `(\w+)` \|", PAGES["data"].read_text(encoding="utf-8"), re.MULTILINE)
+    assert {key for key in told if key != "privileged"} == set(names["data"].keys())
 
 
 def test_an_exported_policy(run: Any) -> None:

@@ -35,6 +35,7 @@ for room in ("buffers", "losses", "models", "transforms"):
     for name in uavrl._ROOMS[room]:
         assert getattr(uavrl, name).__name__ == name
 assert "uavrl.envs.navigation" not in sys.modules
+assert uavrl.load_data.__name__ == "load_data"
 assert type(uavrl.ABRPlus().classifier).__name__ == "TrajectoryClassifier"
 """
 REFUSED = """
