@@ -59,6 +59,18 @@ def test_single_small_triangles_all_around_are_never_lost(seed: int) -> None:
     assert not np.isnan(whole).all()
 
 
+def test_nothing_is_lost_where_the_borders_of_two_bands_lie_opposite() -> None:
+    """The last sphere of a band and the first one of the next lie as far apart as any two."""
+    meshes = [box((x, y, 0.0), (0.2, 0.2, 0.2)) for x in (-10.0, 10.0) for y in (30.0, 10.0, -10.0)]
+    culled, whole = (Lidar(meshes, None, {"max_range": 4.0}) for _ in range(2))
+    whole._culler = None
+    places = np.array([[x * 0.8, y, 0.0] for x in (-10.0, 10.0) for y in (30.0, 10.0, -10.0)])
+    rotations = np.broadcast_to(np.eye(3), (len(places), 3, 3))
+    found = culled.scan(places, rotations)
+    np.testing.assert_array_equal(found, whole.scan(places, rotations))
+    assert (~np.isnan(found[..., 0])).any(1).all()
+
+
 @pytest.mark.parametrize("cycle", [0, 7, 8, 900, 904, 1791, 1792, 1799, 1800, 1807])
 def test_dust_on_the_rays_next_to_bin_borders_is_hit(cycle: int) -> None:
     directions = Lidar([]).directions.reshape(1808, 16, 3)[cycle]

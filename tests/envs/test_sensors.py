@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from tests.helpers.scenes import box, clutter, poses
 from uavrl.envs import Lidar, LidarConfig, LidarSensor, NavigationEnv
 from uavrl.envs.sensors import SENSORS, lidar_sensor
+from uavrl.envs.vehicle_params import VehicleParams
 from uavrl.errors import UavrlError
 from uavrl_onboard.perception.motion.rays import far_ray_indices
 
@@ -86,13 +87,32 @@ def test_with_a_stride_the_rays_of_a_scan_are_spread_over_the_next_scans(name: s
     assert sparse.rays.times.shape == (sparse.num_rays,)
 
 
+@pytest.mark.parametrize("stride", [2, 4, 5])
+def test_with_a_stride_each_scan_has_a_far_ray_in_every_direction(stride: int) -> None:
+    for directions in replace(SENSORS["vlp16"], stride=stride).rays.directions:
+        far = directions[far_ray_indices(directions)]
+        azimuth = np.degrees(np.arctan2(far[:, 1], far[:, 0]))
+        assert np.diff(np.sort(azimuth)).max() < 2.1  # degrees
+
+
+def test_a_blind_sector_hides_the_same_directions_with_a_stride() -> None:
+    wall = [box((0.0, 0.0, 0.0), (3.0, 3.0, 3.0))]  # all around
+    blind = VehicleParams(blind_sector=1.0, blind_azimuth=0.5)
+    here, upright = np.zeros((1, 3)), np.eye(3)[None]
+    whole = Lidar(wall, None, {"max_range": 4.0}).scan(here, upright, flaws=[blind])[0].reshape(1808, 16, 3)
+    sparse = Lidar(wall, None, {"max_range": 4.0, "sensor": replace(SENSORS["vlp16"], stride=4)})
+    seen = sparse.scan(here, upright, flaws=[blind], numbers=[3])[0].reshape(452, 16, 3)
+    np.testing.assert_array_equal(seen, whole[3::4])
+    assert 0.1 < np.isnan(seen[..., 0]).mean() < 0.25
+
+
 def test_a_stride_that_divides_no_scan_evenly_leaves_the_last_steps_out() -> None:
     sparse = LidarSensor("mine", elevations=(0.0, 5.0), azimuth_steps=10, stride=3)
     azimuths = np.degrees(sparse.rays.azimuths).round()
     assert azimuths.tolist() == [[0, 108, 216], [36, 144, 252], [72, 180, 288]]
     with pytest.raises(UavrlError, match="stride must be a whole number from 1 to 50; got 0"):
         LidarSensor("mine", elevations=(0.0,), azimuth_steps=10, stride=0)
-    with pytest.raises(UavrlError, match="has 10 azimuth steps, which a stride of 11 does not leave any of"):
+    with pytest.raises(UavrlError, match="has 10 azimuth steps, fewer than its stride of 11: lower stride"):
         LidarSensor("mine", elevations=(0.0,), azimuth_steps=10, stride=11)
 
 

@@ -226,8 +226,8 @@ class _Flight:
         """How many of tasks 0 to ``count - 1`` have ended: longer tasks are not left out."""
         return sum(task in self._outcomes for task in range(count))
 
-    def hear(self) -> None:
-        """Take in one outcome; wait for it."""
+    def receive(self) -> None:
+        """Wait for one outcome and store it."""
         try:
             told = self.ended.recv()
         except EOFError as error:
@@ -250,7 +250,7 @@ def _wait_for(count: int, flights: dict[str, _Flight], line: ProgressLine) -> No
         ready = wait([each.ended for each in waiting], timeout=1.0)
         for each in waiting:
             if each.ended in ready:
-                each.hear()
+                each.receive()
 
 
 @contextmanager

@@ -113,7 +113,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Rolls out the tasks of one evaluation, and writes the result with the overrides that made it.
 
-    ``count`` is called after each task, in place of a progress line.
+    ``count`` is called after each task.
     """
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.evaluation.position_stats import PositionStats

@@ -39,6 +39,10 @@ class ExportConfig:
             raise UavrlError(f"output must be a folder to write the policy to, and none is given: add {add}.")
         if self.data is not None and self.run is None:
             raise UavrlError("data= writes the data set of a run, and none is given: add run=RUN_FOLDER.")
+        if self.data is not None and self.output is not None and Path(self.data) == Path(self.output):
+            raise UavrlError(f"output and data must be two folders, got {self.data} for both.")
+        if self.guards is not None and self.output is None:
+            raise UavrlError("guards= are those of an exported policy: add output=FOLDER, or leave guards out.")
 
 
 @command("export")

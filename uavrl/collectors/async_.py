@@ -82,9 +82,9 @@ class AsyncCollector(MultiAsyncCollector):
         return True
 
     def shutdown(self, *args: Any, **kwargs: Any) -> None:
-        """Ends the worker, and what TorchRL would end when it is collected: too late where Python itself is ending.
+        """Ends the workers, and what TorchRL would end when it is collected: too late where Python itself is ending.
 
-        The worker is not asked: it would finish its batch first, which takes seconds and which nobody reads.
+        The workers are killed: asked to end, each would first finish its batch, which takes seconds.
         """
         _kill(getattr(self, "procs", ()))
         super().shutdown(*args, **kwargs)
@@ -117,7 +117,7 @@ def _kill_all_but(others: Sequence[BaseProcess]) -> None:
 
 
 def _kill(processes: Sequence[BaseProcess]) -> None:
-    """Kills what nobody has shut down: at its end Python would wait for it, having sent a SIGTERM that is blocked."""
+    """Kills processes and waits for them: Python would wait at its end, after a SIGTERM that they block."""
     for process in processes:
         if process.is_alive():
             process.kill()

@@ -33,10 +33,8 @@ class RayCuller:
     def __init__(self, mesh: Mesh, max_range: float, sensor: LidarSensor) -> None:
         centres, radii = _spheres_around(mesh)
         bands = np.floor(centres[1] / _BAND)
-        wide = 2.0 * np.abs(centres[0]).max(initial=1.0)
-        order = np.argsort(
-            bands * wide + centres[0]
-        )  # by band and then by x, so that a range of x in a band is a slice
+        wide = 2.0 * np.abs(centres[0]).max(initial=0.0) + 1.0  # m: no two values of x are so far apart
+        order = np.argsort(bands * wide + centres[0])  # by band and then by x: a range of x in a band is a slice
         self._centres, bands = np.ascontiguousarray(centres[:, order], dtype=np.float32), bands[order]  # [3, S]
         self._bands = {int(b): slice(*np.searchsorted(bands, [b, b + 1])) for b in np.unique(bands)}
         margin = max(1e-4, 1e-6 * float(np.abs(centres).max(initial=0.0)))  # float32 rounding stays within

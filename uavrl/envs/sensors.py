@@ -22,7 +22,7 @@ __all__ = ["SENSORS", "LidarSensor", "SensorRays", "lidar_sensor"]
 LEAST_RATE = 10.0  # Hz, at which policies act: a slower sensor would show them one scan twice
 MOST_RAYS = 300_000  # of a scan
 MOST_SCANS = 200  # of a pattern
-MOST_APART = 50  # azimuth steps from one that is fired to the next
+LONGEST_STRIDE = 50
 _LARGEST_FILE = 2**28  # bytes
 
 
@@ -52,8 +52,9 @@ class LidarSensor:
         max_range: Farthest range in m.
         blind_distance: Shortest range in m.
         range_noise: Standard deviation of the range error in m.
-        stride: Only every so many azimuth steps are fired, others in each of the scans that follow each other, so that
-            all have been fired after so many scans. A sensor without steps fires every so many rays.
+        stride: With n, a scan has only every n-th azimuth step, and the next scan those one step later. Steps at the
+            end of a turn that do not make n are left out. A sensor without steps has every n-th ray. Of a pattern of
+            several scans, the next one comes after n scans.
         pattern: How the rays are made; own sensors have a grid.
 
     Raises:
@@ -87,8 +88,10 @@ class LidarSensor:
             "max_range must be above 0 and at most 1000 m": 0 < self.max_range <= 1000,
             "blind_distance must be 0 or more, and below max_range": 0 <= self.blind_distance < self.max_range,
             "range_noise must be in [0, 100] m": 0 <= self.range_noise <= 100,
-            f"stride must be a whole number from 1 to {MOST_APART}": (
-                isinstance(self.stride, int) and not isinstance(self.stride, bool) and 1 <= self.stride <= MOST_APART
+            f"stride must be a whole number from 1 to {LONGEST_STRIDE}": (
+                isinstance(self.stride, int)
+                and not isinstance(self.stride, bool)
+                and 1 <= self.stride <= LONGEST_STRIDE
             ),
             "azimuth must be two angles in degrees, the right one first, for example [-45, 45]": (
                 -180 <= right < left <= 180
@@ -266,27 +269,25 @@ def rays_of(sensor: LidarSensor) -> SensorRays:
     """Return the rays of a sensor."""
     rays = _all_rays(sensor)
     if sensor.stride > 1:
-        rays = _in_turn(sensor.name, rays, sensor.stride)
+        rays = _strided(sensor.name, rays, sensor.stride)
     for array in rays:
         array.setflags(write=False)
     return rays
 
 
-def _in_turn(name: str, rays: SensorRays, every: int) -> SensorRays:
-    """Fire every so many groups of rays of one azimuth, and the next ones in the next scan.
-
-    Where the groups cannot be divided evenly, the last few of them are never fired.
-    """
+def _strided(name: str, rays: SensorRays, stride: int) -> SensorRays:
+    """Fire every n-th group of rays of one azimuth, and those one step later in the next scan."""
     scans, groups = rays.azimuths.shape
-    if not (count := groups // every):
+    if not (count := groups // stride):
         raise UavrlError(
-            f"The LiDAR {name!r} has {groups} azimuth steps, which a stride of {every} does not leave any of: lower it."
+            f"The LiDAR {name!r} has {groups} azimuth steps, fewer than its stride of {stride}: lower stride, or "
+            f"trainer.lidar_stride."
         )
-    parts = rays.directions.reshape(scans, groups, -1, 3)[:, : count * every].reshape(scans, count, every, -1, 3)
-    directions = np.moveaxis(parts, 2, 1).reshape(scans * every, -1, 3)
-    azimuths = np.moveaxis(rays.azimuths[:, : count * every].reshape(scans, count, every), 2, 1)
-    times = rays.times.reshape(groups, -1)[: count * every : every].ravel()
-    return SensorRays(np.ascontiguousarray(directions), times, azimuths.reshape(scans * every, count))
+    parts = rays.directions.reshape(scans, groups, -1, 3)[:, : count * stride].reshape(scans, count, stride, -1, 3)
+    directions = np.moveaxis(parts, 2, 1).reshape(scans * stride, -1, 3)
+    azimuths = np.moveaxis(rays.azimuths[:, : count * stride].reshape(scans, count, stride), 2, 1)
+    times = rays.times.reshape(groups, -1)[: count * stride : stride].ravel()
+    return SensorRays(np.ascontiguousarray(directions), times, azimuths.reshape(scans * stride, count))
 
 
 def _all_rays(sensor: LidarSensor) -> SensorRays:

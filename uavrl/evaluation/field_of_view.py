@@ -39,7 +39,8 @@ def unseen_cells(
     reduction = next((part for part in parts if isinstance(part, PointCloudReduction)), None)
     if reduction is None:
         return [], np.zeros((0, 3))
-    rays = LidarConfig(sensor=sensor).device.rays.directions[:_SCANS].reshape(-1, 3)
+    device = LidarConfig(sensor=sensor).device
+    rays = device.rays.directions[: _SCANS * device.stride].reshape(-1, 3)
     return reduction.unseen_cells(torch.from_numpy(rays.copy())), reduction.directions().double().numpy()
 
 

@@ -94,7 +94,8 @@ def load_policy(
         device: the device that computes the network: ``cpu``, ``cuda``, ``cuda:<index>`` or ``auto``.
         packages: the packages whose code may be executed, because the run names their classes.
         guards: the guards of the environments that its ``make_env`` makes: ``"all"``, ``"none"``, a list of names, or
-            any other value of :func:`~uavrl_onboard.guards.settings.guard_settings`. None: the guards of its contract.
+            any other value of :func:`~uavrl_onboard.guards.settings.guard_settings`. None: those of its contract or of
+            its training.
 
     Raises:
         UavrlError: if there is no such policy, its files are damaged, or a guard is unknown.

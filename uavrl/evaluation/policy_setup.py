@@ -79,7 +79,8 @@ def choose(
             changed = without_variety(changed, config, keys_of(overrides))
         run = validate(changed)
         chosen = PolicySetup(policy, run.env, run.perception, run.reward, run.choices, dict(policy.source), run)
-        chosen.source["label"] = f"{label(run.choices)}, seed {run.seed}"
+        behind = f" behind {'-'.join(names)}" if (names := guard_settings(run.guards).names) else ""
+        chosen.source["label"] = f"{label(run.choices)}{behind}, seed {run.seed}"
         trained, flown = policy.config.env.get("world"), changed.env.get("world")
         if trained is not None and flown is not None and trained.get(TARGET) == flown.get(TARGET):
             chosen.source["training_valleys"] = list(trained.seeds)

@@ -30,7 +30,7 @@ SETTINGS = ("env", "perception", "reward", "demonstrator", "backward_reward", "g
 
 
 def require_new(folder: Path) -> None:
-    """Refuses a place where something is already."""
+    """Raises an error unless the folder is new or empty."""
     if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
         raise UavrlError(f"{folder} already exists and is not an empty folder: choose another with data=FOLDER.")
 
@@ -120,7 +120,9 @@ def _meanings(settings: TrainConfig, ours: bool) -> dict[tuple[str, ...], str]:
     reads = ", ".join(settings.algo.get("critic_reads", ()))
     return {
         ("observation",): f"the input of the policy: {state}",
-        ("action",): f"the action that was flown from there, with exploration noise{action}",
+        (
+            "action",
+        ): f"the action of the policy or demonstrator there, with exploration noise; guards may change it{action}",
         (DEMONSTRATOR_ACTION,): f"the action of the demonstrator there{action}",
         (PRIVILEGED,): f"additional input of the critics: {reads}",
         (EPISODE,): "number of the episode, from 0; its transitions are next to each other, in the order of flight",

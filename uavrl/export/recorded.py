@@ -134,7 +134,7 @@ def load_data(
         A buffer that cannot be written to. Nothing in the files is executed.
 
     Raises:
-        UavrlError: where there are no data, or their files are damaged or of another making.
+        UavrlError: where there are no data, or their files are damaged or do not come from uavrl.
 
     Examples:
         >>> import uavrl
@@ -145,7 +145,11 @@ def load_data(
     place = Path(folder).expanduser()
     storage: Storage
     if (place / DATA).is_file():
+        if checkpoint is not None:
+            raise UavrlError(f"{place} is a data set, which has no checkpoints: leave checkpoint out.")
         storage = _read_storage(place)
+    elif (place / STORAGE).is_dir():
+        raise UavrlError(f"The data set {place} is incomplete, because {DATA} is missing: write it again.")
     else:
         recorded = read_recorded(place, None if checkpoint is None else str(checkpoint))
         storage = FrameStorage(len(recorded), recorded.storage.frames)
@@ -165,7 +169,10 @@ def _read_storage(folder: Path) -> TensorStorage:
     except (ValueError, KeyError, TypeError, RecursionError):
         known = False
     if not known:
-        raise UavrlError(f"{folder / DATA} is not of {FORMAT} {VERSION}, which this version of uavrl reads: {again}.")
+        raise UavrlError(
+            f"{folder / DATA} does not describe a data set that this version of uavrl can read ({FORMAT}, version "
+            f"{VERSION}): {again}."
+        )
     check_links(folder, (DATA, STORAGE))
     try:
         check_tensors(folder / STORAGE)

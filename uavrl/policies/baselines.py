@@ -35,7 +35,8 @@ BLENDED = math.cos(0.6)  # directions within this angle, in rad, of the best one
 SHARPNESS = 20.0  # of the blend: a direction weighs e times less for each 1/20 of the goal's cost that it costs more
 # Of a controller that keeps headway, as the shield:
 LAG = Shield.lag  # s until a commanded velocity is flown
-keep_headway = partial(keep_within, corrections=10, shares=(1.0, 0.5), slack=0.0)  # of tensors, by call_numpy
+# Takes arrays: call_numpy hands it tensors.
+keep_headway = partial(keep_within, corrections=10, shares=(1.0, 0.5), slack=0.0)
 
 
 def wrapped_heading(heading_deg: Tensor) -> Tensor:

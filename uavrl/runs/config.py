@@ -76,7 +76,7 @@ def require_run(run_dir: Path) -> None:
 
 
 def require_typed_run(config: DictConfig, key: str = "run") -> None:
-    """The same of the folder that a command line names; a value that is no text is refused where all others are."""
+    """Requires the run that a command line names; ``~`` is expanded later, and validation reports what is no text."""
     with suppress(OmegaConfBaseException):
         if isinstance(folder := config[key], str) and folder.strip() and not folder.startswith("~"):
             require_run(Path(folder))

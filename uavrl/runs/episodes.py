@@ -73,8 +73,10 @@ class Episode:
 def wilson(count: int, total: int) -> dict[str, float]:
     """A rate with its 95 % interval (Wilson 1927): ``rate``, ``low`` and ``high``, each in [0, 1].
 
-    SciPy has it in ``scipy.stats``, whose import takes longer than a second: commands print it last.
+    We do not use ``scipy.stats`` here, because importing it takes more than a second at the end of a command.
     """
+    if not total:
+        return {"rate": 0.0, "low": 0.0, "high": 1.0}
     rate, z = count / total, NormalDist().inv_cdf(0.975)
     middle = rate + z**2 / (2 * total)
     half = z * math.sqrt(rate * (1 - rate) / total + (z / (2 * total)) ** 2)

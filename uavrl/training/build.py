@@ -125,7 +125,7 @@ def make_loss(
         require(loss_type.critics_may_differ, "algo", told, settings.algo["_target_"])
         more[PRIVILEGED] = sizes.privileged
     critic = settings.algo.critic
-    if settings.algo.get("layer_norm"):  # a preset may set it, and another algorithm's critics ignore it
+    if settings.algo.get("layer_norm"):  # which these critics would ignore; a preset may have set it
         require("layer_norm" in critic, "algo.layer_norm", f"false with {critic[TARGET]}, which does not take it", True)
     critics = [
         TensorDictModule(

@@ -28,7 +28,7 @@ from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFI
 from uavrl.runs.provenance import processor, versions
 from uavrl.runs.shared_memory import hint_of_shared_memory, shared_memory_explained
 from uavrl.runs.trust import check_links
-from uavrl.training.build import build_trainer, prepare_valleys
+from uavrl.training.build import build_trainer, prepare_valleys, with_stride
 from uavrl.training.compiled import chosen_execution
 from uavrl.training.loggers import close, truncate_logs
 from uavrl.training.matmul import chosen_matmul, denormals_flushed, matmul_backend, matmul_here
@@ -122,6 +122,7 @@ def _train(config: DictConfig, run_dir: Path, stop: Stop, begun: Callable[[], No
     _drop_unfinished_checkpoints(run_dir)
     try:
         warn_of_late_learning(settings)
+        with_stride(settings)  # refuses a stride before valleys are built
         prepare_valleys(settings)
         with StallNotice("The world and the networks are still being built: large ones take minutes."):
             trainer = build_trainer(settings, config, run_dir)
