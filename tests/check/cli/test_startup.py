@@ -13,7 +13,7 @@ RUN = """
 import sys
 from {package}.cli.{command} import main
 for argument in {arguments!r}:
-    sys.argv = ["uavrl-{command}", argument]
+    sys.argv = ["uavrl-{command}", *argument.split()]
     code = 0
     try:
         main()
@@ -29,7 +29,11 @@ LIGHT = {
         "trainer.episodes=-1": "trainer.episodes must be at least 1, got -1",
         "reward._target_=os.system": "os is no package that you have listed",
     },
-    "evaluate": {"episodes=0": "episodes must be at least 1, got 0"},
+    "evaluate": {
+        "policy=straight episodes=0": "episodes must be at least 1, got 0",
+        "episodes=8": "Give either run=RUN_FOLDER or policy=NAME, and not both.",
+        "run=no/such/run": "no/such/run",
+    },
     "pretrain": {"pretrain.stats=0": "There is no key 'pretrain.stats': did you mean pretrain.states?"},
     "fly": {"policy=none": "goal must be three numbers"},
     "sitl": {"speed=0": "speed must be", "firmware=betaflight": "firmware must be one of px4, ardupilot"},
