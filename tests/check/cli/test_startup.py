@@ -30,7 +30,7 @@ LIGHT = {
         "reward._target_=os.system": "os is no package that you have listed",
     },
     "evaluate": {
-        "policy=straight episodes=0": "episodes must be at least 1, got 0",
+        "policy=straight progress=false episodes=0": "episodes must be at least 1, got 0",
         "episodes=8": "Give either run=RUN_FOLDER or policy=NAME, and not both.",
         "run=no/such/run": "no/such/run",
     },
