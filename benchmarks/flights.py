@@ -55,6 +55,24 @@ def flying(collector: BaseCollector, steps: int) -> Row:
     return fly
 
 
+def stepping(env: EnvBase, steps: int, uavs: int) -> Row:
+    """Return a row that makes so many steps of all vehicles with random actions, the same in every row.
+
+    An episode that ends is followed by the next one.
+    """
+    generator, state = torch.Generator().manual_seed(0), env.reset()
+
+    def fly() -> float:
+        nonlocal state
+        actions = torch.rand(steps, uavs, 4, generator=generator) * 2 - 0.5
+        begin = time.perf_counter()
+        for action in actions:
+            state = env.step_and_maybe_reset(state.set("action", action))[1]
+        return 1e3 * (time.perf_counter() - begin) / (steps * uavs)
+
+    return fly
+
+
 def measure(rows: dict[str, Row], repeats: int, warm_up: int = 1) -> dict[str, float]:
     """Returns the median of each row in milliseconds per UAV step."""
     times: dict[str, list[float]] = {name: [] for name in rows}

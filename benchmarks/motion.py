@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import time
 from pathlib import Path
 
 import torch
 from common import experiment, machine
-from flights import Row, measure
+from flights import Row, measure, stepping
 
 from uavrl.evaluation.environment import make_env
 from uavrl_onboard.cli.process import one_sentence
@@ -33,22 +32,12 @@ SEEN = ["env=dynamic", "perception=range_image", "perception.last_action=true"]
 
 
 def flying(steps: int, uavs: int, overrides: list[str]) -> Row:
-    """Flies so many steps at a time; returns milliseconds per vehicle step."""
+    """Return a row that measures milliseconds per vehicle step."""
     guards = guard_settings([each for each in overrides if "=" not in each])
     settings = experiment(*SEEN, *(each for each in overrides if "=" in each))
     parts = (settings.env, settings.perception, settings.reward)
     env = make_env(*parts, seed=settings.seed, num_uavs=uavs, guards=guards)
-    generator, state = torch.Generator().manual_seed(0), env.reset()
-
-    def fly() -> float:
-        nonlocal state
-        actions = torch.rand(steps, uavs, 4, generator=generator) * 2 - 0.5
-        begun = time.perf_counter()
-        for action in actions:
-            state = env.step_and_maybe_reset(state.set("action", action))[1]
-        return 1e3 * (time.perf_counter() - begun) / (steps * uavs)
-
-    return fly
+    return stepping(env, steps, uavs)
 
 
 def main() -> None:

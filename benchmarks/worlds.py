@@ -1,15 +1,16 @@
-"""What an environment step costs with each LiDAR and in each world, beside the VLP-16 in the valley.
+"""The cost of an environment step with each LiDAR and in other worlds, beside the VLP-16 in the valley.
 
 Run `python benchmarks/worlds.py [--cloud POINTS] [--json FILE]`. All rows fly eight vehicles with the same random
-actions, on one thread and up to what the policy reads; an episode that ends begins anew. Rows are interleaved and
-repeated; medians count. `--cloud 5000000` builds the world of a point cloud of so many points instead, in a process of
-its own, and says how much memory and time that takes.
+actions, on one thread and up to the policy's observation. Rows are interleaved and repeated; medians count.
+`--cloud 5000000` instead builds the world of a point cloud with that many points, with an empty cache, and prints the
+time and the memory that this takes.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import resource
 import tempfile
 import time
@@ -18,48 +19,34 @@ from pathlib import Path
 import numpy as np
 import torch
 from common import experiment, machine
-from flights import Row, measure
+from flights import Row, measure, stepping
 
 from uavrl.envs import NavigationEnv
 from uavrl.envs.sensors import SENSORS
 from uavrl.evaluation.environment import make_env
+from uavrl.runs.cache import FOLDER
+from uavrl.training.build import with_stride
 from uavrl_onboard.cli.process import one_sentence
 
 VALLEY = "vlp16 in the valley"
 ROWS = {
     VALLEY: [],
     **{f"{name} in the valley": [f"env.lidar={name}"] for name in SENSORS if name != "vlp16"},
-    "vlp16 with trainer.lidar_stride=4": [],
+    "vlp16 with trainer.lidar_stride=4": ["trainer.lidar_stride=4"],
     "vlp16 in the forest": ["env=forest"],
     "vlp16 in rooms": ["env=rooms"],
 }
 
 
 def flying(name: str, steps: int, uavs: int) -> Row:
-    """Flies so many steps at a time; returns milliseconds per vehicle step."""
+    """Return a row that measures milliseconds per vehicle step."""
     settings = experiment("perception=range_image", *ROWS[name])
-    perception = settings.perception
-    if "stride" in name:
-        from uavrl.training.build import with_stride
-
-        settings.trainer.lidar_stride = 4
-        perception = with_stride(settings)
-    env = make_env(settings.env, perception, settings.reward, seed=settings.seed, num_uavs=uavs)
-    generator, state = torch.Generator().manual_seed(0), env.reset()
-
-    def fly() -> float:
-        nonlocal state
-        actions = torch.rand(steps, uavs, 4, generator=generator) * 2 - 0.5
-        begun = time.perf_counter()
-        for action in actions:
-            state = env.step_and_maybe_reset(state.set("action", action))[1]
-        return 1e3 * (time.perf_counter() - begun) / (steps * uavs)
-
-    return fly
+    env = make_env(settings.env, with_stride(settings), settings.reward, seed=settings.seed, num_uavs=uavs)
+    return stepping(env, steps, uavs)
 
 
 def cloud_of(count: int, folder: Path) -> Path:
-    """A file of ``count`` points: level ground of 60 m by 60 m with 60 pillars."""
+    """Write a file of ``count`` points: level ground of 60 m by 60 m with 60 pillars."""
     rng = np.random.default_rng(0)
     ground = np.column_stack([rng.uniform(-30, 30, (count // 2, 2)), rng.normal(0, 0.02, count // 2)])
     around = rng.uniform(0, 2 * np.pi, count - len(ground))
@@ -76,33 +63,27 @@ def cloud_of(count: int, folder: Path) -> Path:
 
 
 def build_cloud(count: int) -> dict[str, float]:
-    """Seconds and peak memory of this process and of the one that reads the file, before the first step."""
+    """Return the seconds until the first step is possible, and the peak memory before and after."""
     with tempfile.TemporaryDirectory() as folder:
+        os.environ[FOLDER] = folder
         file = cloud_of(count, Path(folder))
         settings = experiment("env=cloud", f"env.world.file={file}", "env.world.voxel=0.2")
-        before, begun = _peak(resource.RUSAGE_SELF), time.perf_counter()
+        before, begun = _peak(), time.perf_counter()
         env = NavigationEnv(8, world=settings.env.world, lidar=settings.perception.lidar)
         env.reset()
         seconds, faces = time.perf_counter() - begun, sum(len(mesh.faces) for mesh in env.world.meshes)
-        own, reader = _peak(resource.RUSAGE_SELF), _peak(resource.RUSAGE_CHILDREN)
+        after = _peak()
         env.close()
-    return {
-        "points": count,
-        "seconds": seconds,
-        "triangles": faces,
-        "gb_before": before,
-        "gb": own,
-        "gb_of_the_reader": reader,
-    }
+    return {"points": count, "seconds": seconds, "triangles": faces, "gb_before": before, "gb": after}
 
 
-def _peak(who: int) -> float:
-    """Peak memory in GB."""
-    return resource.getrusage(who).ru_maxrss / 2**20
+def _peak() -> float:
+    """Return the peak memory of this process in GB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def main() -> None:
-    """Measures, and tells."""
+    """Measure, and print the results."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--uavs", type=int, default=8)
     parser.add_argument("--steps", type=int, default=30)

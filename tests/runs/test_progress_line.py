@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import io
 import logging
+import os
+import pty
+import struct
+import termios
 
 import pytest
 
@@ -26,6 +31,16 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     now = [0.0]
     monkeypatch.setattr(progress_line.time, "monotonic", lambda: now[0])
     return now
+
+
+@pytest.mark.parametrize(("columns", "drawn"), [(0, False), (80, True)])
+def test_a_terminal_without_columns_gets_plain_lines(columns: int, drawn: bool) -> None:
+    """As in some containers, where a bar would be as wide as the terminal: nothing."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    with os.fdopen(theirs, "w") as stream:
+        assert progress_line._has_columns(stream) is drawn
+    os.close(ours)
 
 
 def test_a_file_gets_plain_lines_every_ten_seconds(capsys: pytest.CaptureFixture[str], clock: list[float]) -> None:

@@ -132,8 +132,9 @@ def evaluate(
             log.info("Flying %s in %s.", pluralize(settings.episodes, "task"), where)
         places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
         watch = None if places is None else places.add
-        how: dict[str, Any] = {"watch": watch, "count": count, "progress": settings.progress}
-        flights = rollout_episodes(env, chosen.policy, settings.episodes, **how)
+        flights = rollout_episodes(
+            env, chosen.policy, settings.episodes, watch=watch, count=count, progress=settings.progress
+        )
         if isinstance(env.base_env, NavigationEnv):
             flights = with_difficulty(flights, env.base_env.difficulty([flight.task for flight in flights]))
     result = summarize(flights) | ({} if places is None else {"position_stats": places.summary()})

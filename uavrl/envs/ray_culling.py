@@ -167,7 +167,8 @@ def _spheres_around(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 def _cut_spheres(corners: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Cuts triangles ``[T, 3, 3]`` in two at the middle of their longest edge until small spheres hold the pieces.
 
-    Yields the centres ``[3, S]`` and the radii ``[S]`` of the spheres around those that are small enough.
+    Yields the centres ``[3, S]`` and the radii ``[S]`` of the spheres around those that are small enough. This is
+    `uavrl.envs.mesh.cut_up` on columns in single precision, which takes a third of the time.
     """
     a, b, c = np.ascontiguousarray(corners.transpose(1, 2, 0))  # [3, T] each
     while a.shape[1]:
