@@ -33,6 +33,12 @@ def test_the_interval_is_scipys() -> None:
             assert (rate["low"], rate["high"]) == pytest.approx((scipys.low, scipys.high), abs=1e-14)
 
 
+@pytest.mark.parametrize(("count", "total"), [(0, 0), (-1, 5), (6, 5), (0, -3)])
+def test_no_rate_of_an_impossible_number_of_tries(count: int, total: int) -> None:
+    with pytest.raises(ValueError, match=rf"at least one try and at most as many successes, got {count} of {total}"):
+        wilson(count, total)
+
+
 @pytest.mark.parametrize("folder", ["uavrl", "studies", "benchmarks", "examples", "docs/tutorials"])
 def test_nothing_spells_a_rate_with_its_interval_itself(folder: str) -> None:
     """A rate that has an interval goes through ``rate_text`` or ``rate_cell``."""

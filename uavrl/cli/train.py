@@ -190,9 +190,10 @@ def _fly(config: DictConfig, run_dir: Path, *, resume: bool) -> None:
 
     summary = train(config, run_dir, resume=resume, begun=tell)
     last = min(summary["episodes"], config.trainer.window)
-    rate = wilson(round(summary["rates"][RATES["success"]] * last), last)
     print(f"Trained for {pluralize(summary['episodes'], 'episode')}, {pluralize(summary['steps'], 'step')}.")
-    print(success_text(rate, last, "training episode"))
+    if last:  # none where the run was shorter than its first episode
+        solved = round(summary["rates"][RATES["success"]] * last)
+        print(success_text(wilson(solved, last), last, "training episode"))
     trusted = trusting(config.packages)
     watch = f"; watch it: {command_line('uavrl-replay', run=run_dir, **trusted)}" if "world" in config.env else ""
     print(f"Evaluate it: {command_line('uavrl-evaluate', run=run_dir, **trusted)}{watch}")

@@ -75,8 +75,8 @@ def wilson(count: int, total: int) -> dict[str, float]:
 
     We do not use ``scipy.stats`` here, because importing it takes more than a second at the end of a command.
     """
-    if not total:
-        return {"rate": 0.0, "low": 0.0, "high": 1.0}
+    if not 0 <= count <= total or not total:
+        raise ValueError(f"A rate needs at least one try and at most as many successes, got {count} of {total}.")
     rate, z = count / total, NormalDist().inv_cdf(0.975)
     middle = rate + z**2 / (2 * total)
     half = z * math.sqrt(rate * (1 - rate) / total + (z / (2 * total)) ** 2)
