@@ -22,6 +22,7 @@ from uavrl.runs.episodes import LETTERS, outcomes_of, success_text, wilson
 from uavrl_onboard.cli.process import one_sentence
 
 TASKS = ("seed", "episodes", "env", "valleys", "planes")  # what tells whether two evaluations flew the same tasks
+AMONG_PLANES = {"num_uavs": None, "processes": 1}  # likewise, where planes move with the steps of all vehicles
 SUCCESS = LETTERS["arrived"]
 
 
@@ -41,7 +42,10 @@ def evaluation(place: str) -> dict[str, Any]:
 
 def compared(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
     """Successes of both, and how many outcomes differ."""
-    if unlike := [key for key in TASKS if one.get(key) != other.get(key)]:
+    unlike = [key for key in TASKS if one.get(key) != other.get(key)]
+    if one.get("planes") and other.get("planes"):
+        unlike += [key for key, default in AMONG_PLANES.items() if one.get(key, default) != other.get(key, default)]
+    if unlike:
         raise UavrlError(f"Expected two evaluations of the same tasks, they differ by {' and '.join(unlike)}.")
     pairs = list(zip(one["outcomes"], other["outcomes"], strict=True))
     lost = sum(a == SUCCESS != b for a, b in pairs)

@@ -8,7 +8,7 @@ import pytest
 
 from tests.helpers.commands import in_process
 from uavrl.cli import compare as compare_command
-from uavrl.cli.compare import CompareConfig, _Flight, _wait_for, compare, main
+from uavrl.cli.compare import CompareConfig, _Flights, _wait_for, compare, main
 from uavrl.errors import UavrlError
 from uavrl.runs.progress_line import ProgressLine
 
@@ -45,9 +45,9 @@ def test_the_line_shows_how_many_tasks_both_have_flown(capsys: pytest.CaptureFix
     told = []
     flights = {}
     for name in ("first", "second"):
-        flight = flights[name] = _Flight.__new__(_Flight)
-        flight.ended, theirs = Pipe(duplex=False)
-        flight._outcomes = {}
+        flight = flights[name] = _Flights.__new__(_Flights)
+        ours, theirs = Pipe(duplex=False)
+        flight._outcomes, flight._started = {}, [(None, ours, range(4))]  # type: ignore[list-item]
         told.append(theirs)
     for task, letter in enumerate("SCTS"):
         told[0].send((3 - task, letter))  # in another order
@@ -60,6 +60,49 @@ def test_the_line_shows_how_many_tasks_both_have_flown(capsys: pytest.CaptureFix
         with pytest.raises(UavrlError, match="no such policy"):
             _wait_for(4, flights, line)
         assert line.n == 2
+
+
+def test_the_first_tasks_of_several_processes_are_waited_for_whatever_the_others_do() -> None:
+    flight, told = _Flights.__new__(_Flights), []
+    flight._outcomes, flight._started = {}, []
+    for first in range(2):
+        ours, theirs = Pipe(duplex=False)
+        flight._started.append((None, ours, range(first, 6, 2)))  # type: ignore[arg-type]
+        told.append(theirs)
+    for task in (0, 2):
+        told[0].send((task, "S"))
+    for task in (3, 1):
+        told[1].send((task, "C"))
+    with ProgressLine(6, "tasks", enabled=False) as line:
+        _wait_for(2, {"first": flight}, line)
+        assert flight.first(2) == "SC"
+        _wait_for(4, {"first": flight}, line)
+    assert flight.first(4) == "SCSC" and flight.flown(6) == 4
+
+
+def test_tasks_among_other_planes_are_not_compared_one_by_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    about = {"seed": 20_000, "outcomes": "SC" * 50, "planes": 20, "env": "dynamic"}
+    about["overrides"] = ["env=dynamic", "env.world.planes=20"]
+    files = {}
+    for name, more in {
+        "eight": {"num_uavs": 8},
+        "sixteen": {"num_uavs": 16},
+        "two": {"num_uavs": 8, "processes": 2},
+        "older": {},
+    }.items():
+        files[name] = str(tmp_path / f"{name}.json")
+        Path(files[name]).write_text(json.dumps({**about, **more}))
+    for same in ("eight", "older"):
+        assert in_process(main, files["eight"], files[same], "row=busy", "block=50") == 0
+    capsys.readouterr()
+    for other, told in (("sixteen", "num_uavs=16 and processes=1"), ("two", "num_uavs=8 and processes=2")):
+        assert in_process(main, files["eight"], files[other], "row=busy") == 1
+        assert f"process: num_uavs=8 and processes=1 against {told}. Evaluate" in capsys.readouterr().err
+    assert in_process(main, files["two"], "best", "row=busy", "processes=2") == 1
+    assert "processes=2 of uavrl-compare" in capsys.readouterr().err, "which divides the tasks in another way"
+    assert in_process(main, files["sixteen"], "best", "row=busy") == 1
 
 
 def test_the_verdict_is_printed_and_written(

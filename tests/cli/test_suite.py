@@ -127,7 +127,7 @@ def test_the_table_has_rows_that_another_command_wrote_meanwhile(
         found: dict[str, Any] = json.loads(evaluation(tmp_path, 1, 2, f"{name}.json", **told).read_text())
         return found
 
-    def evaluated(_: object, wanted: dict[str, Any], __: object) -> dict[str, Any]:
+    def evaluated(wanted: dict[str, Any], _: object) -> dict[str, Any]:
         row("dense")
         return {name: row(name) for name in wanted}
 
@@ -144,7 +144,7 @@ def test_another_runs_results_in_the_same_folder_are_not_taken(tmp_path: Path, m
         evaluation(tmp_path, 1, 2, f"{name}.json", overrides=["seed=7", *scenarios([name])[name]], **policy)
     evaluated: list[str] = []
 
-    def evaluate(_: object, wanted: dict[str, Any], __: object) -> dict[str, Any]:
+    def evaluate(wanted: dict[str, Any], _: object) -> dict[str, Any]:
         evaluated.extend(wanted)
         return {name: json.loads((tmp_path / f"{name}.json").read_text()) for name in wanted}
 
@@ -154,6 +154,26 @@ def test_another_runs_results_in_the_same_folder_are_not_taken(tmp_path: Path, m
         assert in_process(evaluate_command.main, *what) == 0
         assert evaluated == anew
         assert list(json.loads((tmp_path / "suite.json").read_text())) == (["static"] if anew else ["static", "dense"])
+
+
+def test_a_row_among_planes_that_other_processes_have_flown_is_flown_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each process has planes of its own; without planes all fly the same."""
+    for name, planes in (("static", 0), ("dynamic", 10)):
+        told = {"overrides": ["policy=straight", "seed=7", *scenarios([name])[name]], "seed": 7, "outcomes": "SC"}
+        evaluation(tmp_path, 1, 2, f"{name}.json", planes=planes, num_uavs=2, **told)
+    flown: list[list[str]] = []
+
+    def evaluate(wanted: dict[str, Any], _: object) -> dict[str, Any]:
+        flown.append(list(wanted))
+        return {name: json.loads((tmp_path / f"{name}.json").read_text()) for name in wanted}
+
+    monkeypatch.setattr("uavrl.cli.suite._evaluated", evaluate)
+    what = ["policy=straight", "suite=[static,dynamic]", *LITTLE[2:], f"output={tmp_path}"]
+    for processes in ("1", "2", "null"):
+        assert in_process(evaluate_command.main, *what, f"processes={processes}") == 0
+    assert flown == [["dynamic"]]
 
 
 @pytest.mark.parametrize("more", ["env=dynamic", "valleys=[3]", "env.world.obstacles=5", "randomize=wind"])

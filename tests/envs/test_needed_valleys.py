@@ -67,6 +67,44 @@ def test_another_seed_needs_other_valleys_and_other_tasks_are_refused() -> None:
     env.close()
 
 
+def test_tasks_are_flown_in_the_order_in_which_they_are_named() -> None:
+    told = {"lidar": LidarConfig(max_range=4.0), "seed": 2}
+    named = NavigationEnv(2, world=SEVERAL, tasks=[6, 1, 4], randomize={"mass": (0.8, 1.2)}, **told)
+    every = NavigationEnv(1, world=SEVERAL, randomize={"mass": (0.8, 1.2)}, **told)
+    state, flown = named.reset(), {}
+    for reset in ([True, False], [False, True]):
+        masses = [each.mass for each in named.vehicle_params]
+        flown |= {task: (state[i], masses[i]) for i, task in enumerate(state["task"][:, 0].tolist())}
+        state = named.reset(TensorDict({"_reset": torch.tensor(reset)[:, None]}, [2]))
+    assert list(flown) == [6, 1, 4] and named.tasks_begun == 8
+    assert state["task"][:, 0].tolist() == [4, 7], "behind the last of them come further ones"
+    for task, (own, mass) in flown.items():
+        alone = every.reset(task=task)[0]
+        for key in ("position", "goal", "world_seed", "attitude"):
+            assert torch.equal(own[key], alone[key]), (task, key)
+        assert mass == every.vehicle_params[0].mass
+    named.set_seed(2)
+    assert named.reset()["task"][:, 0].tolist() == [6, 1]
+    named.close()
+    every.close()
+
+
+def test_who_begins_at_another_task_has_planes_of_its_own() -> None:
+    """Processes that share the tasks of an evaluation do not repeat each other's noise."""
+    planes = {}
+    for tasks in (None, (0, 1), (1, 0), (1, 2)):
+        env = NavigationEnv(1, world=replace(AMONG_PLANES, seeds=(3,)), tasks=tasks, seed=2, blind=True)
+        env.reset()
+        planes[tasks] = env.plane_poses()
+        env.set_seed(2)
+        env.reset(task=1)
+        np.testing.assert_array_equal(env.plane_poses(), planes[None], "a task that is asked for depends on itself")
+        env.close()
+    np.testing.assert_array_equal(planes[0, 1], planes[None])
+    np.testing.assert_array_equal(planes[1, 0], planes[1, 2])
+    assert not np.allclose(planes[1, 2], planes[None])
+
+
 def test_a_replay_builds_the_valleys_of_its_tasks_alone(
     tmp_path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

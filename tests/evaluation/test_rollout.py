@@ -109,6 +109,17 @@ def test_every_task_is_flown_once_in_order_also_when_some_are_slow(lengths: list
     assert [f.world_seed for f in flights] == list(range(100, 107))
 
 
+@pytest.mark.parametrize("vehicles", [1, 2, 3])
+def test_named_tasks_are_flown_once_and_further_ones_do_not_count(vehicles: int) -> None:
+    env, seen = StubEnv([9, 9, 3, 1, 2, 9], vehicles), list[np.ndarray]()
+    env.next_task = 2
+    flights = rollout_episodes(env, hover, [2, 3, 4], watch=seen.append)
+    assert [(flight.task, flight.steps) for flight in flights] == [(2, 3), (3, 1), (4, 2)]
+    assert len(np.concatenate(seen)) == 6
+    with pytest.raises(ValueError, match="at its first task"):
+        rollout_episodes(StubEnv([1, 1, 1], vehicles), hover, [1, 2])
+
+
 def test_fewer_tasks_than_vehicles() -> None:
     assert [f.task for f in rollout_episodes(StubEnv([5, 1, 1, 1], 4), hover, 2)] == [0, 1]
 

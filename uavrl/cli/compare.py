@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import re
 import shlex
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from hydra.errors import HydraException
+from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
 from uavrl.cli.command import explained
-from uavrl.cli.suite import begin_worker, in_worlds_of, refuse_worlds
+from uavrl.cli.processes import begin_worker
+from uavrl.cli.suite import in_worlds_of, refuse_worlds
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.yaml_files import compose
 from uavrl.errors import UavrlError
@@ -46,7 +50,7 @@ ABOUT = About(
         "'best guards=none' best row=busy",
         "mine/suite.json theirs/suite.json row=dense",
     ],
-    "first second row tasks block error json",
+    "first second row tasks block error processes json",
 )
 
 
@@ -63,6 +67,7 @@ class CompareConfig:
         block: number of tasks between two looks at the outcomes
         error: probability of a wrong verdict, however early the comparison stops
         seed: seed of the tasks
+        processes: number of processes that fly each policy
         json: file for the result; null: none
     """
 
@@ -73,6 +78,7 @@ class CompareConfig:
     block: Count = 25
     error: Annotated[float, Field(gt=0, lt=0.5)] = 0.05
     seed: Annotated[int, Field(ge=0)] = 20_000
+    processes: Annotated[int, Field(ge=1, le=512)] = 1
     json: Folder | None = None
 
     def __post_init__(self) -> None:
@@ -127,16 +133,21 @@ def compare(settings: CompareConfig) -> tuple[Comparison, dict[str, str]]:
     # Imported here: --help and a mistyped key answer without loading SciPy.
     from uavrl.evaluation.sequential import Comparison
 
-    known, flying = {}, {}
+    known, flying, among = {}, {}, {}
     for name in SIDES:
         side = str(getattr(settings, name))
         if (file := Path(side)).suffix == ".json":
-            known[name] = _recorded(file, settings)
+            known[name], among[name] = _recorded(file, settings)
         else:
             flying[name] = _checked(_overrides(side, settings))
     tasks = min([settings.tasks, *(len(outcomes) for outcomes in known.values())])
+    among |= {name: _traffic(overrides, tasks, settings.processes) for name, overrides in flying.items()}
+    _require_same_traffic(settings, among)
     found = Comparison(0, 0, 0, settings.error)
-    with _flights(flying, tasks) as flown, ProgressLine(tasks, "tasks", enabled=bool(flying)) as line:
+    with (
+        _flights(flying, tasks, settings.processes) as flown,
+        ProgressLine(tasks, "tasks", enabled=bool(flying)) as line,
+    ):
         for end in [*range(settings.block, tasks, settings.block), tasks]:
             _wait_for(end, flown, line)
             outcomes = {name: known[name][:end] if name in known else flown[name].first(end) for name in SIDES}
@@ -184,13 +195,39 @@ def _world(overrides: Sequence[str]) -> set[str]:
     return {each for each in told if each.partition("=")[0] in ("env", "randomize") or each.startswith("env.world.")}
 
 
-def _recorded(file: Path, settings: CompareConfig) -> str:
-    """The outcomes that ``uavrl-evaluate`` wrote, in a file of one scenario or of the suite."""
+def _traffic(overrides: Sequence[str], tasks: int, processes: int) -> str | None:
+    """What the planes that a policy meets depend on, as they move with the steps of a process; None without planes."""
+    config = compose(*overrides, name="evaluate")
+    if not OmegaConf.select(config, "env.world.planes"):
+        return None
+    told = _traffic_text(min(config.num_uavs, math.ceil(tasks / processes)), processes)
+    return told if processes == 1 else f"{told} of uavrl-compare"  # which divides the tasks otherwise
+
+
+def _traffic_text(vehicles: int, processes: int) -> str:
+    return f"num_uavs={vehicles} and processes={processes}"
+
+
+def _require_same_traffic(settings: CompareConfig, among: Mapping[str, str | None]) -> None:
+    """Refuses to compare tasks one by one whose planes are not at the same places."""
+    first, second = (among[name] for name in SIDES)
+    if first and second and first != second:
+        raise UavrlError(
+            f"{settings.first} and {settings.second} do not meet the same planes, which depend on the vehicles of a "
+            f"process: {first} against {second}. Evaluate both with the same num_uavs and processes=1."
+        )
+
+
+def _recorded(file: Path, settings: CompareConfig) -> tuple[str, str | None]:
+    """The outcomes that ``uavrl-evaluate`` wrote, in a file of one scenario or of the suite, and their traffic."""
+    among = None
     try:
         result = json.loads(file.read_text(encoding="utf-8"))
         result = result.get(settings.row, result)
         outcomes, seed = outcomes_of(result), result.get("seed", settings.seed)
         flown = _world(result.get("overrides") or []) | ({f"env={result['env']}"} if result.get("env") else set())
+        if result.get("planes") and "num_uavs" in result:
+            among = _traffic_text(result["num_uavs"], result.get("processes", 1))
     except OSError as error:
         raise UavrlError(f"{file} cannot be read ({error.strerror}): give a file that uavrl-evaluate wrote.") from error
     except (ValueError, AttributeError, KeyError, TypeError):
@@ -204,19 +241,24 @@ def _recorded(file: Path, settings: CompareConfig) -> str:
         )
     if seed != settings.seed:
         raise UavrlError(f"{file} holds tasks of seed {seed}, not {settings.seed}: add seed={seed}.")
-    return outcomes
+    return outcomes, among
 
 
-class _Flight:
-    """One policy that flies in a process of its own."""
+class _Flights:
+    """One policy that flies in processes of its own; with n of them, each has every n-th task.
 
-    def __init__(self, overrides: list[str]) -> None:
-        context = multiprocessing.get_context("spawn")
-        self.ended, theirs = context.Pipe(duplex=False)
-        self._process = context.Process(target=_fly, args=(overrides, theirs), daemon=True)
-        self._process.start()
-        theirs.close()
-        self._outcomes: dict[int, str] = {}
+    So the first tasks end first, whatever their number.
+    """
+
+    def __init__(self, overrides: list[str], tasks: int, processes: int) -> None:
+        context, self._outcomes = multiprocessing.get_context("spawn"), dict[int, str]()
+        self._started = list[tuple[SpawnProcess, Connection, range]]()
+        for first in range(min(processes, tasks)):
+            (ours, theirs), share = context.Pipe(duplex=False), range(first, tasks, processes)
+            process = context.Process(target=_fly, args=(overrides, share, theirs), daemon=True)
+            process.start()
+            theirs.close()
+            self._started.append((process, ours, share))
 
     def first(self, count: int) -> str:
         """Return the outcomes of tasks 0 to ``count - 1``, which have ended."""
@@ -226,10 +268,18 @@ class _Flight:
         """How many of tasks 0 to ``count - 1`` have ended: longer tasks are not left out."""
         return sum(task in self._outcomes for task in range(count))
 
-    def receive(self) -> None:
+    def awaited(self, count: int) -> list[Connection]:
+        """Return what tells of those of tasks 0 to ``count - 1`` that have not ended."""
+        return [
+            told
+            for _, told, share in self._started
+            if any(task < count and task not in self._outcomes for task in share)
+        ]
+
+    def receive(self, ended: Connection) -> None:
         """Wait for one outcome and store it."""
         try:
-            told = self.ended.recv()
+            told = ended.recv()
         except EOFError as error:
             raise UavrlError("A flight's process was killed, often for want of memory: start it again.") from error
         if isinstance(told, str):
@@ -237,47 +287,48 @@ class _Flight:
         self._outcomes[told[0]] = told[1]
 
     def stop(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.join()
+        """End the processes."""
+        for process, _, _ in self._started:
+            process.kill()
+        for process, _, _ in self._started:
+            process.join()
 
 
-def _wait_for(count: int, flights: dict[str, _Flight], line: ProgressLine) -> None:
+def _wait_for(count: int, flights: dict[str, _Flights], line: ProgressLine) -> None:
     """Wait until all flights have flown tasks 0 to ``count - 1``; the line shows how many all have flown."""
     while flights and (done := min(each.flown(count) for each in flights.values())) < count:
         line.set(max(done, line.n))
-        waiting = [each for each in flights.values() if each.flown(count) < count]
-        ready = wait([each.ended for each in waiting], timeout=1.0)
-        for each in waiting:
-            if each.ended in ready:
-                each.receive()
+        awaited = {told: each for each in flights.values() for told in each.awaited(count)}
+        for told in wait(list(awaited), timeout=1.0):
+            assert isinstance(told, Connection)
+            awaited[told].receive(told)
 
 
 @contextmanager
-def _flights(flying: dict[str, list[str]], tasks: int) -> Iterator[dict[str, _Flight]]:
-    started: dict[str, _Flight] = {}
+def _flights(flying: dict[str, list[str]], tasks: int, processes: int) -> Iterator[dict[str, _Flights]]:
+    started: dict[str, _Flights] = {}
     try:
         for name, overrides in flying.items():
-            started[name] = _Flight([*overrides, f"episodes={tasks}"])
+            started[name] = _Flights([*overrides, f"episodes={tasks}"], tasks, processes)
         yield started
     finally:
         for flight in started.values():
             flight.stop()
 
 
-def _fly(overrides: list[str], ended: Connection) -> None:
+def _fly(overrides: list[str], tasks: Sequence[int], ended: Connection) -> None:
     """Send each outcome as ``(task, letter)``, or the sentence of an error."""
     begin_worker()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the command itself is told, and ends this process
-    from uavrl.cli.evaluate import chosen_policy, environment_of
+    from uavrl.cli.flights import chosen_policy, environment_of
     from uavrl.evaluation.rollout import episodes_as_they_end
 
     try:
         config = compose(*overrides, name="evaluate")
         settings = validate(config, EvaluateConfig)
         chosen = chosen_policy(settings, config, overrides)
-        with environment_of(chosen, settings, {}) as env:
-            for each in episodes_as_they_end(env, chosen.policy, settings.episodes):
+        with environment_of(chosen, settings, {}, tasks) as env:
+            for each in episodes_as_they_end(env, chosen.policy, tasks):
                 ended.send((each.task, LETTERS[each.outcome]))
     except UavrlError as error:
         ended.send(str(error))

@@ -1,10 +1,7 @@
 """``uavrl-evaluate``: rolls out the policy of a run, or a baseline, in fixed tasks."""
 
-import json
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,18 +10,18 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.command import command, given_overrides
+from uavrl.cli.flights import Evaluation, chosen_policy, fly, in_processes, jobs_of, shares_of, worlds_of, write_result
 from uavrl.cli.suite import evaluate_suite
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.command_line import command_line, override
 from uavrl.evaluation.overrides import PLAIN_KEYS, output_name, result_overrides
-from uavrl.evaluation.policies import policy_folder, require_named, require_one
-from uavrl.evaluation.policy_setup import PolicySetup, choose, require_fit
-from uavrl.runs.provenance import processor, versions
-from uavrl_onboard.files import replacing, writable
+from uavrl.evaluation.policies import require_named, require_one
+from uavrl.runs.progress_line import ProgressLine
+from uavrl_onboard.files import writable
 from uavrl_onboard.pluralize import pluralize
 
 if TYPE_CHECKING:
-    from torchrl.envs import EnvBase
+    from uavrl.evaluation.shares import Share
 
 log = logging.getLogger(__name__)
 NOT_OF_A_REPLAY = (*PLAIN_KEYS, "policy", "num_uavs")  # named anew, or unknown to it
@@ -40,7 +37,7 @@ def main(config: DictConfig) -> None:
             log.info("Loading %s ...", flown)
     settings = validate(config, EvaluateConfig)
     if settings.suite is not None:
-        evaluate_suite(settings, evaluate, given_overrides())
+        evaluate_suite(settings, given_overrides())
         return
     output = _output(settings, given_overrides())
     result = evaluate(config, given_overrides(), output)
@@ -68,81 +65,27 @@ def _policy_text(result: dict[str, Any]) -> str:
     return ", ".join(known) + (f" ({result['run']})" if "run" in result else "")
 
 
-def chosen_policy(settings: EvaluateConfig, config: DictConfig, overrides: list[str]) -> PolicySetup:
-    """The policy that the settings, which were read from ``config``, choose, with its environment's description."""
-    # Imported here: --help, a mistyped key and a value out of range answer without loading torch.
-    import torch
-
-    from uavrl.evaluation.environment import make_device
-
-    folder = policy_folder(settings.run, settings.policy)
-    torch.set_num_threads(settings.threads)
-    chosen = choose(settings, config, overrides, folder, make_device(settings.device))
-    if folder is not None:
-        chosen.source["run"] = settings.run or f"policy={settings.policy}"
-    return chosen
-
-
-@contextmanager
-def environment_of(chosen: PolicySetup, settings: EvaluateConfig, told: dict[str, Any]) -> Iterator["EnvBase"]:
-    """The environment of a policy at its first task, which is closed at the end; ``told`` gets a result's facts."""
-    from uavrl.evaluation.environment import make_env
-    from uavrl.training.matmul import matmul_backend
-
-    told["env"] = chosen.choices.get("env", "")
-    count = min(settings.num_uavs, settings.episodes)
-    if "world" in chosen.env:
-        if chosen.env.world.VARIES:
-            told["valleys"] = list(chosen.env.world.seeds)
-        told["planes"] = chosen.env.world.planes
-        told["num_uavs"] = count  # planes move with the steps of all
-    context: dict[str, Any] = {"packages": settings.packages, "seed": settings.seed, "num_uavs": count}
-    context["tasks"] = range(settings.episodes)  # valleys that none of these needs are not built
-    context |= chosen.env_options
-    with matmul_backend(settings.matmul, settings.threads) as told["matmul"]:
-        env = make_env(chosen.env, chosen.perception, measure_clearance=True, **context)
-        try:
-            require_fit(chosen, env)
-            yield env
-        finally:
-            env.close()
-
-
-def evaluate(
-    config: DictConfig, overrides: list[str], output: Path, count: Callable[[], None] | None = None
-) -> dict[str, Any]:
-    """Rolls out the tasks of one evaluation, and writes the result with the overrides that made it.
-
-    ``count`` is called after each task.
-    """
-    from uavrl.envs.navigation import NavigationEnv
-    from uavrl.evaluation.position_stats import PositionStats
-    from uavrl.evaluation.rollout import rollout_episodes
-    from uavrl.evaluation.summary import summarize, with_difficulty
+def evaluate(config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
+    """Rolls out the tasks of one evaluation, and writes the result with the overrides that made it."""
     from uavrl.evaluation.worlds import worlds_text
 
-    settings = validate(config, EvaluateConfig)
+    settings, one = validate(config, EvaluateConfig), Evaluation(config, overrides, output)
     chosen = chosen_policy(settings, config, overrides)
     writable(output)
-    told: dict[str, Any] = {"seed": settings.seed, "env": "", "overrides": result_overrides(overrides)}
-    told |= {"versions": versions(), "processor": processor()}
-    with environment_of(chosen, settings, told) as env:
-        if settings.progress:
-            where = worlds_text({**told, **chosen.source})
-            log.info("Flying %s in %s.", pluralize(settings.episodes, "task"), where)
-        places = PositionStats(env.base_env.world) if isinstance(env.base_env, NavigationEnv) else None
-        watch = None if places is None else places.add
-        flights = rollout_episodes(
-            env, chosen.policy, settings.episodes, watch=watch, count=count, progress=settings.progress
-        )
-        if isinstance(env.base_env, NavigationEnv):
-            flights = with_difficulty(flights, env.base_env.difficulty([flight.task for flight in flights]))
-    result = summarize(flights) | ({} if places is None else {"position_stats": places.summary()})
-    known = [{key: value for key, value in asdict(flight).items() if value is not None} for flight in flights]
-    result = {**result, **told, **chosen.source, "flights": known}
-    with replacing(output) as partial:
-        partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    return result
+    shares = shares_of(chosen, settings)
+    if settings.progress:
+        where = worlds_text({**worlds_of(chosen), **chosen.source})
+        among = f" in {len(shares)} processes" if len(shares) > 1 else ""
+        log.info("Flying %s%s in %s.", pluralize(settings.episodes, "task"), among, where)
+    found: list[Share] = []
+    with ProgressLine(settings.episodes, "episodes", enabled=settings.progress) as line:
+        if len(shares) == 1:
+            found.append(fly(chosen, settings, shares[0], line.add))
+        else:
+            jobs, again = jobs_of(one, chosen, settings, shares), "start it again, with fewer processes."
+            most, threads = len(shares), settings.threads
+            in_processes({"": jobs}, lambda _, each: found.extend(each), line, most=most, threads=threads, again=again)
+    return write_result(one, settings, found)
 
 
 def _own_folders() -> list[str]:

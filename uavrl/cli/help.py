@@ -19,7 +19,7 @@ ABOUT = {
         "uavrl-evaluate",
         "Rolls out a policy in fixed tasks without noise: its success rate.",
         ["policy=best", "run=RUN_FOLDER episodes=100", "run=RUN_FOLDER valleys=training", "run=RUN_FOLDER suite=all"],
-        "run policy episodes suite valleys output seed checkpoint num_uavs",
+        "run policy episodes suite valleys output seed checkpoint num_uavs processes",
     ),
     "replay": About(
         "uavrl-replay",

@@ -1,44 +1,38 @@
 """``uavrl-evaluate suite=…``: one policy in every scenario of the suite, and one table."""
 
+from __future__ import annotations
+
 import json
 import logging
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uavrl.cli.logs import configure_logging
-from uavrl.config import EvaluateConfig
+from uavrl.cli.flights import Evaluation, Job, chosen_policy, in_processes, jobs_of, shares_of, write_result
+from uavrl.config import EvaluateConfig, validate
 from uavrl.config.yaml_files import compose_again
-from uavrl.errors import UavrlError, was_interrupted
+from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import output_name, result_overrides
 from uavrl.evaluation.policies import file_of_policy, policy_folder
 from uavrl.evaluation.worlds import TRAINING
 from uavrl.runs.episodes import outcomes_of, success_text
-from uavrl.runs.interrupts import interrupts_held_back
 from uavrl.runs.machine import processors
 from uavrl.runs.progress_line import ProgressLine
 from uavrl.runs.trust import check_links
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.files import replacing, writable
 
+if TYPE_CHECKING:
+    from uavrl.evaluation.shares import Share
+
 log = logging.getLogger(__name__)
 OWN = ("suite", "output", "progress")  # keys of the suite, not of its evaluations
-SPAWN = multiprocessing.get_context("spawn")
-Evaluate = Callable[..., dict[str, Any]]  # as uavrl.cli.evaluate.evaluate
-_counters: list[Any] = []  # of a process that flies scenarios, the one of tasks that have ended
 
 
-def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list[str]) -> None:
+def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
     """Evaluates the scenarios, as many at a time as there are processors, and prints their table.
 
     Each has a file of its own; one that is there already, of the same policy and tasks, is not made again.
@@ -60,8 +54,8 @@ def evaluate_suite(settings: EvaluateConfig, evaluate: Evaluate, overrides: list
     flown = {name: result for name in chosen if (result := _same(outputs[name], settings, told[name])) is not None}
     for name in flown:
         log.info("%s is there already", outputs[name])
-    missing = {name: (configs[name], told[name], outputs[name]) for name in chosen if name not in flown}
-    flown |= _evaluated(evaluate, missing, settings)
+    missing = {name: Evaluation(configs[name], told[name], outputs[name]) for name in chosen if name not in flown}
+    flown |= _evaluated(missing, settings) if missing else {}
     results = {name: flown[name] for name in chosen}
     # The others are read last: another command may have written some meanwhile.
     found = {name: results.get(name) or _same(outputs[name], settings, told[name]) for name in every}
@@ -97,83 +91,35 @@ def in_worlds_of(row: Sequence[str]) -> list[str]:
     return [f"valleys={TRAINING}", *row]
 
 
-def _evaluated(
-    evaluate: Evaluate, scenarios: Mapping[str, tuple[DictConfig, list[str], Path]], settings: EvaluateConfig
-) -> dict[str, Any]:
-    """The results of some scenarios, each in a process of its own; a line says how far all of them are."""
-    results, ended, tasks = {}, SPAWN.Value("q", 0), len(scenarios) * settings.episodes
-    with (
-        _processes(min(processors(), max(len(scenarios), 1)), ended) as pool,
-        ProgressLine(tasks, "tasks", enabled=settings.progress and tasks > 0) as line,
-    ):
-        with interrupts_held_back():
-            futures = {name: pool.submit(_row, evaluate, *scenario) for name, scenario in scenarios.items()}
-        for name, each in futures.items():
-            try:
-                results[name] = _result(each, lambda: line.set(ended.value))
-            except BrokenProcessPool as error:
-                raise UavrlError(
-                    f"{name}: its process was killed, often for want of memory: start the same command again, which "
-                    f"evaluates what is missing."
-                ) from error
-            except UavrlError as error:
-                raise UavrlError(f"{name}: {error}") from error
-            log.info("%s is evaluated", name)
+def _evaluated(scenarios: Mapping[str, Evaluation], settings: EvaluateConfig) -> dict[str, Any]:
+    """The results of some scenarios, as many processes at a time as there are processors; a line says how far all are.
+
+    Raises:
+        UavrlError: At the first error, which ends all; the scenarios that are complete then are kept.
+    """
+    results, tasks = dict[str, Any](), len(scenarios) * settings.episodes
+    jobs = {name: _jobs(name, each, settings, len(scenarios)) for name, each in scenarios.items()}
+
+    def complete(name: str, shares: list[Share]) -> None:
+        results[name] = write_result(scenarios[name], settings, shares)
+        log.info("%s is evaluated", name)
+
+    again = "start the same command again, which evaluates what is missing."
+    with ProgressLine(tasks, "tasks", enabled=settings.progress and tasks > 0) as line:
+        in_processes(jobs, complete, line, most=processors(), threads=settings.threads, again=again)
     return results
 
 
-def _result(future: Future[Any], meanwhile: Callable[[], None] = lambda: None) -> Any:
-    """What a process has found; it is looked for each second, as a signal wakes only the thread that it comes to."""
-    while not future.done():
-        wait([future], timeout=1.0)
-        meanwhile()
-    meanwhile()
-    return future.result()
-
-
-@contextmanager
-def _processes(count: int, ended: Any = None) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with this one; on an error they finish their evaluations first, on Ctrl-C they do not."""
-    pool = ProcessPoolExecutor(count, SPAWN, _begin, (ended,))
+def _jobs(name: str, scenario: Evaluation, settings: EvaluateConfig, scenarios: int) -> list[Job]:
+    """The jobs of one of so many scenarios; of one process, it says itself what is wrong with it."""
+    if settings.processes == 1:
+        return [Job(scenario.config, scenario.overrides, range(settings.episodes))]
     try:
-        yield pool
-    except BaseException as error:
-        if was_interrupted(error):
-            for process in multiprocessing.active_children():
-                process.kill()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _begin(ended: Any) -> None:
-    """Prepare a process that flies scenarios; all such processes count the tasks that have ended in ``ended``."""
-    begin_worker()
-    _counters[:] = [ended]
-
-
-def _row(evaluate: Evaluate, config: DictConfig, overrides: list[str], output: Path) -> dict[str, Any]:
-    """One scenario, in a process that ``_begin`` prepared."""
-    (ended,) = _counters
-
-    def count() -> None:
-        with ended.get_lock():
-            ended.value += 1
-
-    return evaluate(config, overrides, output, count)
-
-
-def begin_worker() -> None:
-    """Prepare a process that flies for a command: its log, and its end with that command."""
-    configure_logging()
-    logging.getLogger().setLevel(logging.WARNING)
-
-    def end_with_parent() -> None:
-        if (parent := multiprocessing.parent_process()) is not None:
-            parent.join()
-            os.kill(os.getpid(), signal.SIGKILL)  # nobody waits for its result
-
-    threading.Thread(target=end_with_parent, daemon=True).start()
+        own = validate(scenario.config, EvaluateConfig)
+        chosen = chosen_policy(own, scenario.config, scenario.overrides)
+        return jobs_of(scenario, chosen, own, shares_of(chosen, own, scenarios))
+    except UavrlError as error:
+        raise UavrlError(f"{name}: {error}") from error
 
 
 def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, Any] | None:
@@ -182,10 +128,18 @@ def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, 
         result = json.loads(output.read_text(encoding="utf-8"))
         wanted = {"overrides": result_overrides(told), "episodes": settings.episodes, "seed": settings.seed}
         same = all(result[key] == value for key, value in wanted.items()) and _is_of_run(result, settings)
+        same = same and (not result.get("planes") or _is_divided(result, settings))
         result["outcomes"] = outcomes_of(result)  # which a file from before there were any tells by its flights
     except (OSError, ValueError, KeyError, TypeError):  # not there, something else, or damaged: it is made again
         return None
     return result if same and output.stat().st_mtime >= _changed(settings) else None
+
+
+def _is_divided(result: Mapping[str, Any], settings: EvaluateConfig) -> bool:
+    """Whether as many processes have flown a result as are asked for: each of them has planes of its own."""
+    if settings.processes is None:
+        return True
+    return int(result.get("processes", 1)) == min(settings.processes, settings.episodes)
 
 
 def _is_of_run(result: Mapping[str, Any], settings: EvaluateConfig) -> bool:

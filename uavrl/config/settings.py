@@ -129,3 +129,4 @@ class EvaluateConfig(FlyingConfig):
     episodes: Count = 500
     suite: str | tuple[Text, ...] | None = None
     num_uavs: Annotated[int, Field(ge=1, le=512)] = 8
+    processes: Annotated[int, Field(ge=1, le=512)] | None = 1

@@ -24,7 +24,7 @@ from uavrl.envs.shortest_way import ShortestWays
 from uavrl.envs.simulation import CONTROL_RATE, PHYSICS_RATE, Simulation
 from uavrl.envs.traffic import Traffic, plane_mesh
 from uavrl.envs.vehicle_params import VehicleParams
-from uavrl.envs.world import World, WorldLike, draw_place, world_rules
+from uavrl.envs.world import World, WorldLike, draw_place, places_of, task_rng, world_rules
 from uavrl.errors import UavrlError
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.goal import goal_distance
@@ -78,8 +78,9 @@ class NavigationEnv(EnvBase):
         measure_clearance: also emit ``clearance``, the distance from the hull to the nearest thing, m.
         privileged: also emit these of :data:`uavrl.envs.privileged.QUANTITIES`, which critics and
             demonstrators may read.
-        tasks: the tasks that count: valleys that none of these needs are not built. Vehicles that go on after the last
-            of them have further tasks in the valleys that are. None: any task.
+        tasks: the tasks that count, in the order in which they are flown: valleys that none of these needs are not
+            built. Vehicles that go on after the last of them have further tasks in the valleys that are. Planes, gusts
+            and noise depend on the seed and on the first of them. None: all tasks from 0 on.
         seed: seed of tasks, traffic, gusts and sensor noise.
         device: where the outputs go. The simulation itself runs on the CPU.
 
@@ -125,6 +126,7 @@ class NavigationEnv(EnvBase):
         if tasks is not None and not (np.iterable(tasks) and len(tasks)):
             raise UavrlError(f"tasks takes a list of one task or more, or None for any, got {tasks!r}.")
         self._tasks = None if tasks is None else tuple(whole("tasks", task) for task in tasks)
+        self._first, self._follower = _order(self._tasks)
         self.world_config = world_rules(world)
         self.airframe = settings("airframe", Airframe, airframe)
         self.aerodynamics = settings("aerodynamics", Aerodynamics, aerodynamics)
@@ -160,14 +162,14 @@ class NavigationEnv(EnvBase):
             self._free()  # other valleys are needed
         self._seed = seed
         self._stale = True
-        self._next_task = 0
+        self._next_task = self._first
 
-    def _rebuild(self) -> None:
+    def _rebuild(self, first: int) -> None:
         """Builds physics, traffic and generators anew from the seed; meshes and the ray-casting scene stay."""
         if self._simulation is not None:
             self._simulation.close()
             self._simulation = None
-        seeds = np.random.SeedSequence(self._seed).spawn(3)
+        seeds = np.random.SeedSequence(self._seed, spawn_key=(first,) if first else ()).spawn(3)
         traffic_rng, self._lidar_rng, gusts = map(np.random.default_rng, seeds)
         self._traffic, meshes, air = Traffic(self.world, traffic_rng), self.world.meshes, self.aerodynamics
         planes = len(self._traffic.legs)
@@ -185,7 +187,7 @@ class NavigationEnv(EnvBase):
         if self._lidar is None and not self.blind:
             self._lidar = Lidar(meshes, mesh, self.lidar_config)
         self._ways = ShortestWays(self.world, self.num_uavs) if "way" in self.privileged else None
-        self._next_task = 0
+        self._next_task = self._first
         self._stale = False
         if planes:
             self._simulation.place_planes(self.plane_poses())
@@ -193,14 +195,12 @@ class NavigationEnv(EnvBase):
     @cached_property
     def world(self) -> World:
         """Places, goals and routes; built at the first use, which takes seconds."""
-        needed = None
-        if self._tasks is not None:
-            needed = {draw_place(self.world_config, self._task_rng(task)) for task in self._tasks}
+        needed = None if self._tasks is None else places_of(self.world_config, self._seed, self._tasks)
         return World(self.world_config, needed)
 
     @property
     def tasks_begun(self) -> int:
-        """How many tasks were drawn since ``set_seed``: the number of the next one."""
+        """The number of the next task: without ``tasks``, how many were drawn since ``set_seed``."""
         return self._next_task
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, task: int | None = None, **_: object) -> TensorDict:
@@ -211,7 +211,7 @@ class NavigationEnv(EnvBase):
         if self._simulation is None and not mask.all():
             raise RuntimeError("The first reset must be of all UAVs: reset the whole environment first.")
         if self._simulation is None or (self._stale and mask.all()):
-            self._rebuild()
+            self._rebuild(self._first if task is None else 0)
         self._next_task = self._next_task if task is None else whole("task", task)
         index, nothing = np.flatnonzero(mask), np.zeros(self.num_uavs, dtype=bool)
         self._place(index, asked=task is not None)
@@ -220,11 +220,11 @@ class NavigationEnv(EnvBase):
 
     def _task_rng(self, task: int) -> np.random.Generator:
         """What draws a task."""
-        return np.random.default_rng((self._seed, task))
+        return task_rng(self._seed, task)
 
     def _spare_place(self, task: int) -> int | None:
         """The place, among those that were built, of a task after the last one that counts; None: its own."""
-        if self._tasks is None or task <= max(self._tasks):
+        if self._tasks is None or task in self._follower:
             return None
         drawn = draw_place(self.world_config, self._task_rng(task))
         return None if drawn in self.world.built else drawn % len(self.world.places)
@@ -237,7 +237,7 @@ class NavigationEnv(EnvBase):
         return measure_tasks(self.world, [self.world.sample_task(self._task_rng(task)) for task in tasks])
 
     def _place(self, index: np.ndarray, *, asked: bool) -> None:
-        first, starts, yaws = self._next_task, np.zeros((len(index), 3)), np.zeros(len(index))
+        starts, yaws = np.zeros((len(index), 3)), np.zeros(len(index))
         for row, uav in enumerate(index):
             spare = None if asked else self._spare_place(self._next_task)
             task = self.world.sample_task(self._task_rng(self._next_task), spare, self.traffic.positions)
@@ -246,9 +246,9 @@ class NavigationEnv(EnvBase):
             self._world_seed[uav], self._task[uav] = task.world_seed, self._next_task
             if self._ways is not None:
                 self._ways.begin(int(uav), task.place, task.goal)
-            self._next_task += 1
+            self._next_task = self._follower.get(self._next_task, self._next_task + 1)
         self._steps[index] = 0
-        tasks, most = range(first, self._next_task), most_load(self.airframe)
+        tasks, most = self._task[index].tolist(), most_load(self.airframe)
         drawn = None if self.randomize is None else draw_vehicles(self.randomize, self._seed, tasks, most)
         self.simulation.reset(index, starts, yaws, drawn)
 
@@ -360,3 +360,10 @@ class NavigationEnv(EnvBase):
         """Frees all that was built and closes the environment: it takes no step or reset any more."""
         self._free()
         super().close(raise_if_closed=raise_if_closed)
+
+
+def _order(tasks: Sequence[int] | None) -> tuple[int, dict[int, int]]:
+    """The first of some tasks, and the one that follows on each of them: behind the last, the next of all numbers."""
+    if tasks is None:
+        return 0, {}
+    return tasks[0], dict(zip(tasks, [*tasks[1:], max(tasks) + 1], strict=True))

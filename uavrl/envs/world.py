@@ -67,9 +67,14 @@ def _progress(new: int, places: int) -> Any:
     return ProgressLine(places, "valleys", verb="building")
 
 
-def map_places(config: WorldRules) -> None:
-    """Computes the maps that the cache does not hold, so that another process builds the world in seconds."""
-    unknown = _unknown(config, range(len(config.seeds)))
+def map_places(config: WorldRules, numbers: Sequence[int] | None = None) -> None:
+    """Computes the maps that the cache does not hold, so that another process builds the world in seconds.
+
+    Args:
+        config: of the world.
+        numbers: of its places, among ``config.seeds``; None: all.
+    """
+    unknown = _unknown(config, range(len(config.seeds)) if numbers is None else numbers)
     if unknown and is_writable():
         deque(_built(config, unknown), maxlen=0)
 
@@ -77,6 +82,16 @@ def map_places(config: WorldRules) -> None:
 def draw_place(config: WorldRules, rng: np.random.Generator) -> int:
     """Draws a task's place, the first thing that a task takes from its generator: its number among ``config.seeds``."""
     return int(rng.integers(len(config.seeds)))
+
+
+def task_rng(seed: int, task: int) -> np.random.Generator:
+    """The generator that draws a task of a seed."""
+    return np.random.default_rng((seed, task))
+
+
+def places_of(config: WorldRules, seed: int, tasks: Iterable[int]) -> list[int]:
+    """The places of tasks: their numbers among ``config.seeds``."""
+    return [draw_place(config, task_rng(seed, task)) for task in tasks]
 
 
 class World:

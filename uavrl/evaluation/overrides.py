@@ -14,7 +14,7 @@ from uavrl.runs.names import LONGEST_NAME
 # What may be changed for a trained policy, and blind_to: it reads the same numbers, of another sensor or another goal.
 OF_SENSOR = ("perception.lidar.", "perception.blind")
 # Keys of an evaluation that do not say which policy was evaluated in which tasks.
-PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "progress")
+PLAIN_KEYS = ("run", "packages", "episodes", "output", "device", "threads", "matmul", "processes", "progress")
 
 
 def require_valley(env: Mapping[str, Any], choices: Mapping[str, str], key: str) -> None:

@@ -34,15 +34,19 @@ class PositionStats:
         """Takes in positions ``[M, 3]`` in m, in the world's frame."""
         self._seen.append(np.array(positions, dtype=np.float64))
 
-    def summary(self) -> dict[str, Any]:
-        """:func:`summarize_places` of all of them."""
+    def measured(self) -> np.ndarray:
+        """What :func:`summarize_places` takes, of all of them: ``[3, S]``."""
         positions = np.concatenate(self._seen)
         config = self._world.config
         nearest = np.linalg.norm(positions[:, None, :2] - self._origins, axis=-1).argmin(1)
         inside = np.abs(positions[:, :2] - self._origins[nearest])
         walls = (np.array([place.size for place in self._world.places])[nearest] / 2 - inside).min(1)
         shares = (positions[:, 2] - self._world.ground_height(positions[:, :2])) / config.ceiling
-        return summarize_places(positions[:, 2], shares, walls)
+        return np.stack([positions[:, 2], shares, walls])
+
+    def summary(self) -> dict[str, Any]:
+        """:func:`summarize_places` of all of them."""
+        return summarize_places(*self.measured())
 
 
 def summarize_places(altitudes: np.ndarray, shares: np.ndarray, walls: np.ndarray) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Rolls out a policy in fixed, seeded tasks without exploration noise, and keeps how each of them ended."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -141,49 +141,56 @@ class EpisodeMeter:
 
 
 def episodes_as_they_end(
-    env: EnvBase, policy: Acts, episodes: int, *, watch: Callable[[np.ndarray], None] | None = None
+    env: EnvBase, policy: Acts, tasks: int | Sequence[int], *, watch: Callable[[np.ndarray], None] | None = None
 ) -> Iterator[EpisodeResult]:
-    """Roll out tasks 0 to ``episodes - 1`` of the environment's seed, each once, and yield each when it ends.
+    """Roll out some tasks of the environment's seed, each once, and yield each when it ends.
 
     Args:
         env: any that emits ``arrived``, ``collided`` and ``task``, at its first tasks.
         policy: reads the environment's output, writes ``action``.
-        episodes: number of tasks.
+        tasks: their numbers, in the order in which the environment was made to fly them; or how many, from task 0 on.
         watch: called after each step with the positions ``[M, 3]`` in m of those vehicles whose tasks count.
     """
-    meter, left = EpisodeMeter(env.batch_size.numel(), speed_limit(env)), episodes
+    numbers = _numbers(tasks)
+    count, counted = env.batch_size.numel(), np.array(numbers)
+    meter, left = EpisodeMeter(count, speed_limit(env)), len(numbers)
     state = env.reset()
-    if state["task"].min() != 0:
+    if state["task"].min() != counted[:count].min():
         raise ValueError("Expected an environment at its first task: call env.set_seed(seed) before rolling out again.")
     for stepped in rollout(env, policy, state):
         if watch is not None:
             after = stepped["next"]
-            watch(after["position"][after["task"][:, 0] < episodes].numpy())
-        ended = [each for each in meter.step(stepped) if each.task < episodes]
+            watch(after["position"].numpy()[np.isin(after["task"].reshape(-1).numpy(), counted)])
+        ended = [each for each in meter.step(stepped) if each.task in numbers]
         yield from ended
         left -= len(ended)
         if not left:
             return
 
 
+def _numbers(tasks: int | Sequence[int]) -> Sequence[int]:
+    """The numbers of tasks that are named, or of the first so many."""
+    return range(tasks) if isinstance(tasks, int) else tasks
+
+
 def rollout_episodes(
     env: EnvBase,
     policy: Acts,
-    episodes: int,
+    tasks: int | Sequence[int],
     *,
     watch: Callable[[np.ndarray], None] | None = None,
     count: Callable[[], None] | None = None,
     progress: bool = False,
 ) -> list[EpisodeResult]:
-    """Return what :func:`episodes_as_they_end` yields, in the order of the tasks.
+    """Return what :func:`episodes_as_they_end` yields, in the order of ``tasks``.
 
     ``count`` is called after each of them; ``progress`` shows a line.
     """
-    results = dict[int, EpisodeResult]()
-    with ProgressLine(episodes, "episodes", enabled=progress) as line:
-        for each in episodes_as_they_end(env, policy, episodes, watch=watch):
+    results, numbers = dict[int, EpisodeResult](), _numbers(tasks)
+    with ProgressLine(len(numbers), "episodes", enabled=progress) as line:
+        for each in episodes_as_they_end(env, policy, numbers, watch=watch):
             results[each.task] = each
             line.add(1)
             if count is not None:
                 count()
-    return [results[task] for task in range(episodes)]
+    return [results[task] for task in numbers]

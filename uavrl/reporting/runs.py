@@ -240,16 +240,17 @@ def _evaluation(path: Path) -> dict[str, Any]:
 
 
 def _tasks(content: dict[str, Any]) -> str:
-    """The tasks in words. With planes, which move at every step, the number of UAVs is part of them."""
+    """The tasks in words. Planes move at every step of a process's UAVs, so these are part of the tasks with planes."""
     seeds = content.get("valleys") or []  # of a file from anywhere
     valleys = seed_ranges(seeds) if all(isinstance(seed, int) for seed in seeds) else ", ".join(map(str, seeds))
     changes = [str(each) for each in content.get("overrides") or [] if str(each).startswith(("env.", "perception."))]
-    uavs = content.get("num_uavs")  # of a file from anywhere: it need not be a number
+    uavs, processes = content.get("num_uavs"), content.get("processes", 1)  # of a file from anywhere: any values
+    among = "" if processes == 1 else f" in each of {processes} processes"
     parts = [
         str(content.get("env")),
         f"valleys {valleys}" if valleys else "",
         f"{pluralize(int(content['episodes']), 'task')} of seed {content.get('seed')}",
-        f"{uavs} UAV{'' if uavs == 1 else 's'} at a time" if content.get("planes") else "",
+        f"{uavs} UAV{'' if uavs == 1 else 's'} at a time{among}" if content.get("planes") else "",
         *sorted(changes),
     ]
     return ", ".join(part for part in parts if part)

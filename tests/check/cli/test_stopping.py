@@ -146,19 +146,19 @@ def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, 
 SUITE = """
 import signal, sys, threading, time
 from uavrl_onboard.cli.process import command_process
-from uavrl.cli.suite import _processes, _result
+from uavrl.cli.processes import as_complete, processes
 
 def hear():
     time.sleep(0.5)  # until the main thread waits
     signal.pthread_kill(threading.get_ident(), int(sys.argv[1]))
 
 if __name__ == "__main__":
-    with command_process(), _processes(2) as pool:
+    with command_process(), processes(2) as pool:
         evaluations = [pool.submit(time.sleep, 600) for _ in range(4)]
         if sys.argv[1:]:
             threading.Thread(target=hear, daemon=True).start()
         print("begun", flush=True)
-        _result(evaluations[0])
+        list(as_complete({"": evaluations}, lambda: None, "killed"))
 """
 
 

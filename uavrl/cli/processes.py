@@ -1,0 +1,109 @@
+"""Processes that fly for a command."""
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any
+
+from uavrl.cli.logs import configure_logging
+from uavrl.errors import UavrlError
+
+SPAWN = multiprocessing.get_context("spawn")
+THREADS = "OMP_NUM_THREADS"  # that NumPy, SciPy and PyTorch use, which they read when they are loaded
+_counters: list[Any] = []  # of a process that flies, the one of tasks that have ended
+
+
+@contextmanager
+def processes(count: int, ended: Any = None, *, threads: int = 1) -> Iterator[ProcessPoolExecutor]:
+    """So many processes, which end with this one, and at once on an error and on Ctrl-C.
+
+    They count the tasks that have ended in ``ended``, a shared integer, and compute with ``threads`` threads each,
+    unless the environment of the command says otherwise.
+    """
+    given = os.environ.get(THREADS)
+    os.environ.setdefault(THREADS, str(threads))
+    pool = ProcessPoolExecutor(count, SPAWN, _begin, (ended,))
+    try:
+        yield pool
+    except BaseException:
+        for process in multiprocessing.active_children():
+            process.kill()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+        if given is None:
+            del os.environ[THREADS]
+
+
+def counter() -> Any:
+    """An integer that processes share."""
+    return SPAWN.Value("q", 0)
+
+
+def value_of(ended: Any) -> int:
+    """The value of a shared integer, also where a process was killed while it was counting."""
+    return int(ended.get_obj().value)
+
+
+def count_task() -> None:
+    """Count one more task that has ended, in a process of :func:`processes`."""
+    (ended,) = _counters
+    with ended.get_lock():
+        ended.value += 1
+
+
+def as_complete(
+    futures: Mapping[str, Sequence[Future[Any]]], meanwhile: Callable[[], None], killed: str
+) -> Iterator[tuple[str, list[Any]]]:
+    """Yield each name with the results of its futures when all of these are there; the first error ends all.
+
+    They are looked for each second, as a signal wakes only the thread that it comes to.
+
+    Args:
+        futures: of a pool of :func:`processes`, by the name of what they make together.
+        meanwhile: called each second.
+        killed: what a user reads when a process was killed.
+
+    Raises:
+        UavrlError: with the sentence of a process, after the name, where it has one; or with ``killed``.
+    """
+    pending = {name: list(each) for name, each in futures.items()}
+    while pending:
+        waited = [future for each in pending.values() for future in each if not future.done()]
+        wait(waited, timeout=1.0, return_when=FIRST_COMPLETED)
+        meanwhile()
+        for name, each in list(pending.items()):
+            try:
+                found = [future.result() for future in each if future.done()]
+            except BrokenProcessPool as error:
+                raise UavrlError(killed) from error
+            except UavrlError as error:
+                raise UavrlError(f"{name}: {error}" if name else str(error)) from error
+            if len(found) == len(each):
+                del pending[name]
+                yield name, found
+
+
+def _begin(ended: Any) -> None:
+    """Prepare a process that flies."""
+    begin_worker()
+    _counters[:] = [ended]
+
+
+def begin_worker() -> None:
+    """Prepare a process that flies for a command: its log, and its end with that command."""
+    configure_logging()
+    logging.getLogger().setLevel(logging.WARNING)
+
+    def end_with_parent() -> None:
+        if (parent := multiprocessing.parent_process()) is not None:
+            parent.join()
+            os.kill(os.getpid(), signal.SIGKILL)  # nobody waits for its result
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
