@@ -33,15 +33,15 @@ $(DEV): $(READY)
 	$(install) '.[dev]'
 	touch $@
 
-# Trains a policy, then evaluates it in ten valleys that it never saw (the suite's held_out) and at the same time draws some
-# episodes in one of them. ARGS="env=dynamic" changes what is trained, and the environment of the evaluation with it.
+# Trains a policy, then evaluates it in ten valleys that it never saw (the suite's held_out), with all processors, and at the
+# same time draws some episodes in one of them. ARGS="env=dynamic" changes what is trained, and the environment of the evaluation with it.
 # The thesis's run: .venv/bin/uavrl-train (5,000 episodes).
 train: $(READY)
 	@echo "Training by preset=dagger in $(RUN), then 100 tasks in valleys that it never saw; the thesis's 5,000 episodes: $(BIN)/uavrl-train"
 	@$(BIN)/uavrl-train preset=dagger run_dir=$(RUN) $(ARGS)
 	@trap 'kill $$! 2>/dev/null' INT EXIT; \
 	$(BIN)/uavrl-replay run=$(RUN) 'valleys=[100]' episodes=4 output=$(RUN)/replay.html > $(RUN)/replay.txt 2>&1 & \
-	$(BIN)/uavrl-evaluate run=$(RUN) episodes=100 || exit; \
+	$(BIN)/uavrl-evaluate run=$(RUN) episodes=100 processes=null || exit; \
 	wait $$! || { cat $(RUN)/replay.txt; exit 1; }
 	@$(BIN)/python -m uavrl.cli.run_summary $(RUN)
 

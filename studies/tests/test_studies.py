@@ -145,6 +145,10 @@ def test_two_evaluations_are_compared_task_by_task(said: Said, tmp_path: Path) -
     )
     with pytest.raises(UavrlError, match="same tasks, they differ by seed"):
         outcomes.compared(outcomes.evaluation(str(one)), {**outcomes.evaluation(str(one)), "seed": 1})
+    among = {**outcomes.evaluation(str(one)), "planes": 3, "num_uavs": 8}
+    assert outcomes.compared(among, {**among, "processes": 1})["changed"] == 0
+    with pytest.raises(UavrlError, match="same tasks, they differ by num_uavs and processes"):
+        outcomes.compared(among, {**among, "num_uavs": 4, "processes": 2})
 
 
 def test_dense_flights_are_told_of_the_odd_valleys_alone(said: Said, tmp_path: Path) -> None:

@@ -278,7 +278,7 @@ def test_tables_tell_how_smooth_it_was_and_nothing_where_that_is_not_known() -> 
     assert "success, % (95 % CI)" in head and len(head) == len(first) == len(second)
 
 
-def test_success_is_told_in_thirds_of_the_tasks_by_their_difficulty() -> None:
+def test_success_is_told_in_parts_of_the_tasks_by_their_difficulty() -> None:
     hard = [
         replace(
             EpisodeResult(k, "collided" if k > 7 else "arrived", 9, 0, 5.0, 6.0, 0.5), detour=1 + k / 10, spacing=2.0
@@ -288,9 +288,25 @@ def test_success_is_told_in_thirds_of_the_tasks_by_their_difficulty() -> None:
     result = summarize(hard[::-1])
     assert [each["rate"] for each in result["success_by_detour"]] == [1.0, 1.0, 0.0]
     assert [(each["least"], each["most"]) for each in result["success_by_detour"]][2] == (1.8, 2.1)
-    assert "success, detour 1.80 to 2.10" in table(result) and "success, free width 2.00 to 2.00 m" in table(result)
+    assert "success, detour 1.80 to 2.10" in table(result)
+    assert "success_by_spacing" not in result and "free width" not in table(result), "all are alike"
     assert suite_table({"static": result}).splitlines()[1].split()[-5:] == ["100", "/", "100", "/", "0"]
     assert "success_by_detour" not in summarize(hard[:8]), "too few"
+
+
+@pytest.mark.parametrize(
+    ("detours", "told"),
+    [
+        ([1.0] * 8 + [1.2, 1.4, 1.6, 1.8], {"1.00": 8, "1.20 to 1.40": 2, "1.60 to 1.80": 2}),
+        ([1.001, 1.002, 1.004] * 3 + [1.5] * 3, {"1.00": 9, "1.50": 3}),
+        ([1.1, 1.2] + [1.3] * 10, {"1.10 to 1.20": 2, "1.30": 10}),
+    ],
+)
+def test_tasks_of_equal_difficulty_are_in_one_part(detours: list[float], told: dict[str, int]) -> None:
+    flights = [replace(EpisodeResult(k, "arrived", 9, 0, 5.0, 6.0, 0.5), detour=each) for k, each in enumerate(detours)]
+    lines = [line for line in table(summarize(flights)).splitlines() if line.startswith("success, detour")]
+    assert [line.split("  ")[0].removeprefix("success, detour ") for line in lines] == list(told)
+    assert [int(line.split(", ")[-1].split()[0]) for line in lines] == list(told.values())
 
 
 def test_without_arrivals_there_is_no_path_and_the_table_says_so() -> None:

@@ -138,6 +138,22 @@ def test_evaluations_are_read_without_their_episodes(tmp_path: Path) -> None:
     assert run.notes == ["evaluation_bad.json cannot be read and is left out."]
 
 
+@pytest.mark.parametrize(
+    ("told", "among"),
+    [
+        ({"num_uavs": 8}, ", 8 UAVs at a time"),
+        ({"num_uavs": 1, "processes": 2}, ", 1 UAV at a time in each of 2 processes"),
+        ({"num_uavs": 8, "processes": 2, "planes": 0}, ""),
+    ],
+)
+def test_evaluations_among_planes_that_move_otherwise_are_not_of_the_same_tasks(
+    told: dict[str, Any], among: str, tmp_path: Path
+) -> None:
+    folder = run_folder(tmp_path / "run", "a")
+    evaluation(folder, 8, 10, **{"planes": 3, **told})
+    assert only(folder).evaluations[0]["flown"] == f"static, valleys 0, 10 tasks of seed 20000{among}"
+
+
 def test_a_broken_evaluation_is_noted_and_left_out(tmp_path: Path) -> None:
     folder = run_folder(tmp_path / "run", "a")
     damages: list[dict[str, Any]] = [

@@ -1,5 +1,6 @@
 """``uavrl-export``: the policy of a run on its own, small enough to give away, and the data set of a run."""
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.pluralize import pluralize
 from uavrl_onboard.policy.contract import CONTRACT
 from uavrl_onboard.ranges import Folder, Text
+
+log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -55,6 +58,7 @@ def main(config: DictConfig) -> None:
     require_run(folder)
     if settings.output is not None:
         require_free(Path(settings.output))
+    log.info("Loading %s ...", settings.run or settings.policy)
     if settings.data is not None:
         _export_data(folder, settings.checkpoint, Path(settings.data), settings.packages)
     if settings.output is not None:

@@ -1,5 +1,6 @@
 """``uavrl-pretrain``: from the states of a run to the trajectory classifier that ABR⁺ loads."""
 
+import logging
 from pathlib import Path
 
 from omegaconf import DictConfig
@@ -10,11 +11,15 @@ from uavrl.config.command_line import command_line
 from uavrl.runs.config import require_typed_run
 from uavrl_onboard.pluralize import pluralize
 
+log = logging.getLogger(__name__)
+
 
 @command("pretrain")
 def main(config: DictConfig) -> None:
     """Makes one artifact."""
     require_typed_run(config)
+    if config.progress is True:
+        log.info("Loading %s ...", config.run)
     # Imported here: --help and a mistyped key answer without loading torch.
     from uavrl.pretraining.pipeline import pretrain
     from uavrl.pretraining.settings import PretrainConfig

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.command import command, given_overrides
 from uavrl.config import validate
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from uavrl.evaluation.recording import Recording
 
 
+log = logging.getLogger(__name__)
 MOST_FLIGHTS = 50  # in one page
 LOG = ".mcap"  # the suffix of what uavrl-fly writes
 VIDEOS = (".mp4", ".gif")
@@ -84,6 +88,9 @@ class ReplayConfig(FlyingConfig):
 def main(config: DictConfig) -> None:
     """Makes one page or video."""
     require_named(config)  # before all else: validating the environment loads torch
+    with suppress(OmegaConfBaseException):  # a value that cannot be read is told by validate
+        if config.progress is True and (shown := config.run or config.policy or config.flight):
+            log.info("Loading %s ...", shown)
     settings, overrides = validate(config, ReplayConfig), given_overrides()
     if sum(source is not None for source in (settings.run, settings.policy, settings.flight)) != 1:
         raise UavrlError(

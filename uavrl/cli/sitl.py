@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import signal
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from uavrl.envs.navigation import NavigationEnv
     from uavrl.sitl.live import LiveEpisode
     from uavrl.sitl.sitl import Result
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -74,6 +78,7 @@ class SitlConfig:
 @command("sitl")
 def main(config: DictConfig) -> None:
     """Flies one task by a companion's set-points."""
+    log.info("Loading the simulator ...")  # before all else: validating the environment loads torch
     settings = validate(config, SitlConfig)
     mavlink()  # what is missing is told before torch is loaded
     if any(override.startswith("env.num_uavs=") for override in given_overrides()):

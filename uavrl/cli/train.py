@@ -5,13 +5,14 @@ import logging
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import CompactHydraException
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli import sweep_runs
 from uavrl.cli.command import command
@@ -25,7 +26,9 @@ from uavrl.runs.clock import start_clock
 from uavrl.runs.config import require_typed_run
 from uavrl.runs.episodes import RATES, success_text, wilson
 from uavrl.runs.folders import made_folder
-from uavrl.runs.names import ANY_CHECKPOINT
+from uavrl.runs.names import ANY_CHECKPOINT, TRAINING
+from uavrl.runs.taken import refuse_a_run
+from uavrl.runs.trust import check_links
 from uavrl_onboard.cli.process import one_sentence, sentence
 from uavrl_onboard.pluralize import pluralize
 
@@ -80,6 +83,9 @@ def _command(config: DictConfig) -> sweep_runs.Outcome | None:
 
 def _train(config: DictConfig) -> None:
     require_typed_run(config, "resume")  # before all else: validating the environment loads torch
+    _require_free(config)
+    if OmegaConf.select(config, "trainer.progress") is True:
+        log.info("Loading %s ...", OmegaConf.select(config, "resume") or "PyTorch")
     settings = validate(config)
     _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]
@@ -101,6 +107,17 @@ def _train(config: DictConfig) -> None:
     _check_machine(config)
     with explain_full_disk(run_dir, config.packages):
         _fly(config, run_dir, resume=True)
+
+
+def _require_free(config: DictConfig) -> None:
+    """Refuses a typed ``run_dir`` that contains a run, as ``create_run`` does, which comes after PyTorch."""
+    typed = [each.partition("=")[0].lstrip("+") for each in HydraConfig.get().overrides.task]
+    with suppress(OmegaConfBaseException):
+        if config.resume is not None or "run_dir" not in typed or not isinstance(folder := config.run_dir, str):
+            return
+        if isinstance(config.packages, ListConfig) and folder.strip() and not folder.startswith("~"):
+            check_links(Path(folder), TRAINING)
+            refuse_a_run(Path(folder), map(str, config.packages))
 
 
 @contextmanager

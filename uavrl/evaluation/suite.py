@@ -31,8 +31,8 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
     """The rates of each scenario, steps and clearance of its successes, and smoothness.
 
     The change is the mean absolute change of the yaw rate from step to step; reversals are of the yaw rate;
-    guarded is the share of steps in which guards changed the velocity. The success by detour is that in the third of
-    the tasks with the least detour, in the next third and in the last.
+    guarded is the share of steps in which guards changed the velocity. The success by detour is that of parts of the
+    tasks, those with the least detour first.
     """
     heads = ["success, % (95 % CI)", "collision, %", "time-out, %", "steps per success", "clearance, m"]
     heads += ["yaw rate change, rad/s", "reversals, %", "guarded, %", "by detour, %"]
@@ -47,12 +47,12 @@ def suite_table(results: Mapping[str, Mapping[str, Any]]) -> str:
             number_text(result["median_clearance"], ".2f"),
             number_text((result.get("action_change") or [None])[-1], ".2f"),
             *(number_text(None if share is None else 100 * share, ".1f") for share in shares),
-            _third_cell(result),
+            _detour_cell(result),
         )
         lines.append(f"{name:<14}" + "  ".join(f"{c:>{len(h)}}" for c, h in zip(cells, heads, strict=True)))
     return "\n".join(lines)
 
 
-def _third_cell(result: Mapping[str, Any]) -> str:
+def _detour_cell(result: Mapping[str, Any]) -> str:
     shares = [100 * each["rate"] for each in result.get("success_by_detour", ())]
     return " / ".join(f"{share:.0f}" for share in shares) or "–"

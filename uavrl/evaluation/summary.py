@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +33,7 @@ OTHERS = [name for name in RATES if name != "success"]
 FEWEST = 10  # episodes in a valley whose success rate is printed
 DIFFICULTY = {"detour": ("detour", ""), "spacing": ("free width", " m")}
 """What tells how hard a task is: its label and its unit."""
-LEAST_TASKS = 9  # of which three parts are told
+LEAST_TASKS = 9  # of which parts are told
 
 
 def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
@@ -75,8 +76,8 @@ def summarize(flights: Sequence[EpisodeResult]) -> dict[str, Any]:
     result["steps_per_episode"] = float(np.mean([flight.steps for flight in flights]))
     result["steps_per_arrival"] = float(np.mean([flight.steps for flight in arrived])) if arrived else None
     for quantity in DIFFICULTY:
-        if (thirds := _thirds(quantity, flights)) is not None:
-            result[f"success_by_{quantity}"] = thirds
+        if (parts := _success_by(quantity, flights)) is not None:
+            result[f"success_by_{quantity}"] = parts
     smoothness = [(flight.steps, flight.action_change, flight.yaw_reversals) for flight in flights]
     guarded = [(flight.steps, flight.guard_share, flight.guard_change) for flight in flights]
     result |= summarize_smoothness(*zip(*smoothness, strict=True))
@@ -89,19 +90,41 @@ def with_difficulty(flights: Sequence[EpisodeResult], measured: Sequence[Difficu
     return [flight if each is None else replace(flight, **each._asdict()) for flight, each in pairs]
 
 
-def _thirds(quantity: str, flights: Sequence[EpisodeResult]) -> list[dict[str, float]] | None:
-    """Success in three equal parts of the tasks, in the order of a quantity; None for few tasks without any."""
+def _success_by(quantity: str, flights: Sequence[EpisodeResult]) -> list[dict[str, float]] | None:
+    """Success in parts of the tasks, in the order of a quantity; None for few tasks, or where all are alike."""
     known = sorted(
-        ((value, flight) for flight in flights if (value := getattr(flight, quantity)) is not None),
+        ((value, flight.outcome) for flight in flights if (value := getattr(flight, quantity)) is not None),
         key=lambda pair: pair[0],
     )
     if len(known) < LEAST_TASKS:
         return None
+    parts = [known[begin:end] for begin, end in pairwise(_bounds([round(value, 2) for value, _ in known]))]
+    if len(parts) < 2:
+        return None
     found = []
-    for part in range(3):
-        tasks = known[part * len(known) // 3 : (part + 1) * len(known) // 3]
-        solved = [flight.outcome for _, flight in tasks].count("arrived")
+    for tasks in parts:
+        solved = [outcome for _, outcome in tasks].count("arrived")
         found.append({"least": tasks[0][0], "most": tasks[-1][0], "episodes": len(tasks), **wilson(solved, len(tasks))})
+    return found
+
+
+def _bounds(values: Sequence[float], parts: int = 3) -> list[int]:
+    """Where parts of sorted values begin, and the end: of about equal size, and equal values are in one part.
+
+    Examples:
+        >>> _bounds([1, 2, 3, 4, 5, 6])
+        [0, 2, 4, 6]
+        >>> _bounds([1, 1, 1, 1, 1, 2, 3, 4])
+        [0, 5, 6, 8]
+        >>> _bounds([1, 1, 1])
+        [0, 3]
+    """
+    count, found = len(values), [0]
+    ends = [i for i in range(1, count) if values[i - 1] != values[i]] + [count]
+    for left in range(parts, 0, -1):
+        aim = found[-1] + (count - found[-1]) / left
+        if later := [end for end in ends if end > found[-1]]:
+            found.append(min(later, key=lambda end: abs(end - aim)))
     return found
 
 
@@ -122,7 +145,7 @@ def table(result: Mapping[str, Any]) -> str:
     lines += smoothness_texts(result.get("action_change"), result.get("yaw_reversals")).items()
     lines += intervention_texts(result.get("guard_share"), result.get("guard_change")).items()
     lines += position_texts(result["position_stats"]).items() if "position_stats" in result else []
-    lines += _third_lines(result)
+    lines += _difficulty_lines(result)
     lines += _valley_lines(result.get("success_by_valley", {}))
     return "\n".join([*aligned(lines), success_text(result["success"], result["episodes"])])
 
@@ -135,11 +158,12 @@ def _valley_lines(valleys: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, s
     return lines + ([("valleys with fewer than ten tasks", f"{few}, whose rates are in the file")] if few else [])
 
 
-def _third_lines(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _difficulty_lines(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     """The success rates of easy, middling and hard tasks."""
     lines = []
     for quantity, (name, unit) in DIFFICULTY.items():
-        for third in result.get(f"success_by_{quantity}", ()):
-            told = f"success, {name} {third['least']:.2f} to {third['most']:.2f}{unit}"
-            lines.append((told, rate_text(third, third["episodes"])))
+        for part in result.get(f"success_by_{quantity}", ()):
+            least, most = (f"{part[end]:.2f}" for end in ("least", "most"))
+            values = least if least == most else f"{least} to {most}"
+            lines.append((f"success, {name} {values}{unit}", rate_text(part, part["episodes"])))
     return lines

@@ -21,7 +21,7 @@ from uavrl.config.command_line import command_line, trusting
 from uavrl.errors import UavrlError
 from uavrl.runs.config import fingerprint, read_config, require_folder
 from uavrl.runs.episodes import read_episodes
-from uavrl.runs.names import ANY_CHECKPOINT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY
+from uavrl.runs.names import ANY_CHECKPOINT, CHECKPOINTS, CONFIG, EPISODES
 from uavrl.runs.trust import check_archive
 from uavrl.upstream import decode_state_dict
 
@@ -139,17 +139,6 @@ class DamagedCheckpoint(UavrlError):
     def __init__(self, path: Path, reason: object) -> None:
         self.fault = f"The checkpoint {path} is damaged ({reason})"
         super().__init__(f"{self.fault}: uavrl-train resume=RUN_FOLDER goes back to the one before, if there is one.")
-
-
-def has_no_checkpoint(run_dir: Path) -> bool:
-    """Whether a run was stopped before its first checkpoint, which comes before its first episode: nothing is lost."""
-    episodes = run_dir / EPISODES
-    return (
-        (run_dir / BEGUN).exists()
-        and not (run_dir / SUMMARY).exists()
-        and not any(run_dir.glob(ANY_CHECKPOINT))
-        and not (episodes.exists() and read_episodes(episodes))
-    )
 
 
 def checkpoint_to_resume(run_dir: Path, config: DictConfig) -> Path:

@@ -5,7 +5,7 @@ import logging
 import random
 import shutil
 import signal
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,16 +17,16 @@ from torchrl.checkpoint import Checkpoint
 
 from uavrl.collectors.stall_notice import StallNotice
 from uavrl.config import learner_name, validate
-from uavrl.config.command_line import command_line, trusting
 from uavrl.config.settings import TrainConfig
-from uavrl.errors import FlyingEnded, FolderTaken, Stopped, UavrlError, was_interrupted
-from uavrl.runs.checkpoint import checkpoint_to_resume, has_no_checkpoint, how_to_go_on, restore
+from uavrl.errors import FlyingEnded, Stopped, UavrlError, was_interrupted
+from uavrl.runs.checkpoint import checkpoint_to_resume, how_to_go_on, restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
 from uavrl.runs.interrupts import Stop, stoppable
 from uavrl.runs.lock import run_lock
-from uavrl.runs.names import ANY_CHECKPOINT, ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
+from uavrl.runs.names import ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
 from uavrl.runs.provenance import processor, versions
 from uavrl.runs.shared_memory import hint_of_shared_memory, shared_memory_explained
+from uavrl.runs.taken import has_no_checkpoint, refuse_a_run
 from uavrl.runs.trust import check_links
 from uavrl.training.build import build_trainer, prepare_valleys, with_stride
 from uavrl.training.compiled import chosen_execution
@@ -44,14 +44,14 @@ def create_run(config: DictConfig) -> Path:
     """Makes the run folder with its resolved configuration."""
     run_dir = Path(str(config.run_dir))
     check_links(run_dir, TRAINING)
-    _refuse_a_run(run_dir, config.packages)
+    refuse_a_run(run_dir, config.packages)
     # recorded: both bear on the last digits
     config.trainer.execution = chosen_execution(config.trainer.execution)
     config.trainer.matmul = chosen_matmul(config.trainer.matmul, config.trainer.threads)
     try:
         (run_dir / CHECKPOINTS).mkdir(parents=True, exist_ok=True)
         with run_lock(run_dir):
-            _refuse_a_run(run_dir, config.packages)
+            refuse_a_run(run_dir, config.packages)
             reset_unstarted_run(run_dir)
             (run_dir / BEGUN).touch()
             _write(config, run_dir)
@@ -60,20 +60,6 @@ def create_run(config: DictConfig) -> Path:
             f"The run folder {run_dir} cannot be written ({error.strerror}): choose another with run_dir=FOLDER."
         ) from error
     return run_dir
-
-
-def _refuse_a_run(run_dir: Path, packages: Iterable[str]) -> None:
-    if has_no_checkpoint(run_dir):
-        return
-    if any(run_dir.glob(ANY_CHECKPOINT)):
-        go_on = command_line("uavrl-train", resume=run_dir, **trusting(packages))
-        raise FolderTaken(
-            f"The run folder {run_dir} already contains a run: resume it with {go_on}, or choose another run_dir."
-        )
-    if any((run_dir / name).exists() for name in (CONFIG, EPISODES, ARTIFACT)):
-        raise FolderTaken(
-            f"The run folder {run_dir} already contains a run without checkpoints: choose another run_dir."
-        )
 
 
 def _write(config: DictConfig, run_dir: Path) -> None:
