@@ -12,6 +12,11 @@ from uavrl.cli.processes import as_complete
 from uavrl.errors import UavrlError
 
 
+@pytest.fixture(autouse=True)
+def _looks_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("uavrl.cli.processes.EVERY", 0.01)
+
+
 def futures(count: int) -> list[Future[Any]]:
     return [Future() for _ in range(count)]
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from hydra.errors import HydraException
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import Field
 
@@ -133,15 +133,19 @@ def compare(settings: CompareConfig) -> tuple[Comparison, dict[str, str]]:
     # Imported here: --help and a mistyped key answer without loading SciPy.
     from uavrl.evaluation.sequential import Comparison
 
-    known, flying, among = {}, {}, {}
+    known: dict[str, str] = {}
+    flying: dict[str, list[str]] = {}
+    among: dict[str, str | None] = {}
+    composed: dict[str, DictConfig] = {}
     for name in SIDES:
         side = str(getattr(settings, name))
         if (file := Path(side)).suffix == ".json":
             known[name], among[name] = _recorded(file, settings)
         else:
-            flying[name] = _checked(_overrides(side, settings))
+            flying[name] = _overrides(side, settings)
+            composed[name] = _checked(flying[name])
     tasks = min([settings.tasks, *(len(outcomes) for outcomes in known.values())])
-    among |= {name: _traffic(overrides, tasks, settings.processes) for name, overrides in flying.items()}
+    among |= {name: _traffic(config, tasks, settings.processes) for name, config in composed.items()}
     _require_same_traffic(settings, among)
     found = Comparison(0, 0, 0, settings.error)
     with (
@@ -173,13 +177,12 @@ def _overrides(side: str, settings: CompareConfig) -> list[str]:
     return [policy, *rest, *in_worlds_of(_changes(settings.row)), f"seed={settings.seed}", "progress=false"]
 
 
-def _checked(overrides: list[str]) -> list[str]:
-    """The overrides, once they compose: a mistake is told before anything flies."""
+def _checked(overrides: list[str]) -> DictConfig:
+    """What overrides compose: a mistake is told before anything flies."""
     try:
-        compose(*overrides, name="evaluate")
+        return compose(*overrides, name="evaluate")
     except (HydraException, OmegaConfBaseException) as error:
         raise UavrlError(explained(error, "evaluate")) from error
-    return overrides
 
 
 def _changes(row: str) -> list[str]:
@@ -195,12 +198,12 @@ def _world(overrides: Sequence[str]) -> set[str]:
     return {each for each in told if each.partition("=")[0] in ("env", "randomize") or each.startswith("env.world.")}
 
 
-def _traffic(overrides: Sequence[str], tasks: int, processes: int) -> str | None:
+def _traffic(config: DictConfig, tasks: int, processes: int) -> str | None:
     """What the planes that a policy meets depend on, as they move with the steps of a process; None without planes."""
-    config = compose(*overrides, name="evaluate")
-    if not OmegaConf.select(config, "env.world.planes"):
+    vehicles = config.num_uavs
+    if not OmegaConf.select(config, "env.world.planes") or not isinstance(vehicles, int):  # refused before it flies
         return None
-    told = _traffic_text(min(config.num_uavs, math.ceil(tasks / processes)), processes)
+    told = _traffic_text(min(vehicles, math.ceil(tasks / processes)), processes)
     return told if processes == 1 else f"{told} of uavrl-compare"  # which divides the tasks otherwise
 
 
@@ -220,7 +223,7 @@ def _require_same_traffic(settings: CompareConfig, among: Mapping[str, str | Non
 
 def _recorded(file: Path, settings: CompareConfig) -> tuple[str, str | None]:
     """The outcomes that ``uavrl-evaluate`` wrote, in a file of one scenario or of the suite, and their traffic."""
-    among = None
+    among: str | None = None
     try:
         result = json.loads(file.read_text(encoding="utf-8"))
         result = result.get(settings.row, result)

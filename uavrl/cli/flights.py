@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.cli.processes import as_complete, count_task, counter, processes, value_of
 from uavrl.config import EvaluateConfig, validate
+from uavrl.config.yaml_files import register_resolvers
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import result_overrides
 from uavrl.evaluation.policies import policy_folder
@@ -122,6 +123,7 @@ def fly(chosen: PolicySetup, settings: EvaluateConfig, tasks: Sequence[int], cou
 
 def _fly(job: Job) -> Share:
     """:func:`fly`, in a process of its own."""
+    register_resolvers()
     settings = validate(job.config, EvaluateConfig)
     return fly(chosen_policy(settings, job.config, job.overrides), settings, job.tasks, count_task)
 
@@ -140,20 +142,22 @@ def shares_of(chosen: PolicySetup, settings: EvaluateConfig, evaluations: int = 
     from uavrl.evaluation.shares import divided
 
     count, tasks = settings.processes or _fitting(settings, evaluations), range(settings.episodes)
+    if min(count, len(tasks)) == 1:
+        return [list(tasks)]
     kind = find_class(str(chosen.env[TARGET]), EnvBase, settings.packages)
-    if count > 1 and "tasks" not in arguments(kind):
-        if settings.processes is not None:
-            raise UavrlError(
-                f"{kind.__name__} takes no tasks, so an evaluation in it cannot be divided among processes: leave "
-                f"processes out, or give its constructor an argument tasks."
-            )
-        count = 1
+    if "tasks" not in arguments(kind):
+        if settings.processes is None:
+            return [list(tasks)]
+        raise UavrlError(
+            f"{kind.__name__} takes no tasks, so an evaluation in it cannot be divided among processes: leave "
+            f"processes out, or give its constructor an argument tasks."
+        )
     world = chosen.env.get("world")
-    places = places_of(world, settings.seed, tasks) if isinstance(world, WorldRules) else [0 for _ in tasks]
-    shares = divided(places, count)
-    if len(shares) > 1 and isinstance(world, WorldRules):
-        map_places(world, [number for number in sorted(set(places)) if world.map_rules(number) is not None])
-    return shares
+    if not isinstance(world, WorldRules):
+        return divided([0 for _ in tasks], count)
+    places = places_of(world, settings.seed, tasks)
+    map_places(world, [number for number in sorted(set(places)) if world.map_rules(number) is not None])
+    return divided(places, count)
 
 
 def _fitting(settings: EvaluateConfig, evaluations: int) -> int:

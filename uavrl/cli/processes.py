@@ -16,6 +16,7 @@ from uavrl.errors import UavrlError
 
 SPAWN = multiprocessing.get_context("spawn")
 THREADS = "OMP_NUM_THREADS"  # that NumPy, SciPy and PyTorch use, which they read when they are loaded
+EVERY = 1.0  # s, at the latest, between two looks at what has ended: a signal wakes only the thread that it comes to
 _counters: list[Any] = []  # of a process that flies, the one of tasks that have ended
 
 
@@ -63,11 +64,9 @@ def as_complete(
 ) -> Iterator[tuple[str, list[Any]]]:
     """Yield each name with the results of its futures when all of these are there; the first error ends all.
 
-    They are looked for each second, as a signal wakes only the thread that it comes to.
-
     Args:
         futures: of a pool of :func:`processes`, by the name of what they make together.
-        meanwhile: called each second.
+        meanwhile: called at each look.
         killed: what a user reads when a process was killed.
 
     Raises:
@@ -76,7 +75,7 @@ def as_complete(
     pending = {name: list(each) for name, each in futures.items()}
     while pending:
         waited = [future for each in pending.values() for future in each if not future.done()]
-        wait(waited, timeout=1.0, return_when=FIRST_COMPLETED)
+        wait(waited, timeout=EVERY, return_when=FIRST_COMPLETED)
         meanwhile()
         for name, each in list(pending.items()):
             try:

@@ -112,7 +112,7 @@ def _train(config: DictConfig) -> None:
 def _require_free(config: DictConfig) -> None:
     """Refuses a typed ``run_dir`` that contains a run, as ``create_run`` does, which comes after PyTorch."""
     typed = [each.partition("=")[0].lstrip("+") for each in HydraConfig.get().overrides.task]
-    with suppress(OmegaConfBaseException):
+    with suppress(OmegaConfBaseException, OSError):  # told by what needs them
         if config.resume is not None or "run_dir" not in typed or not isinstance(folder := config.run_dir, str):
             return
         if isinstance(config.packages, ListConfig) and folder.strip() and not folder.startswith("~"):
