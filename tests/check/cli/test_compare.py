@@ -16,7 +16,10 @@ def test_flights_end_as_in_an_evaluation_of_the_same_tasks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert in_process(compare, "straight", "vfh", "row=static", "tasks=8", "block=4", "json=found.json") == 0
+    assert (
+        in_process(compare, "straight", "vfh", "row=static", "tasks=8", "block=4", "processes=2", "json=found.json")
+        == 0
+    )
     found = json.loads(Path("found.json").read_text())
     for name, policy in (("first", "straight"), ("second", "vfh")):
         told = f"{policy}.json"
