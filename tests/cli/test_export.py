@@ -118,7 +118,8 @@ def test_without_episodes_and_without_room_there_is_no_data_set(
     assert "Expected whole episodes in the replay buffer of" in capsys.readouterr().err
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1000))
     assert in_process(export_command.main, f"run={run_dir}", new) == 1
-    (said,) = capsys.readouterr().err.splitlines()
+    begun, said = capsys.readouterr().err.splitlines()
+    assert begun == f"Loading {run_dir} ..."
     assert "MB are needed and 0.0 MB are left" in said and str(tmp_path / "new") in said
     assert not (tmp_path / "new").exists()
 

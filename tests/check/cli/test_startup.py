@@ -5,8 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+from uavrl.evaluation.policies import PACKAGED
 
 HEAVY = ("torch", "torchrl", "tensordict", "pybullet", "sklearn", "matplotlib")
 RUN = """
@@ -20,6 +23,13 @@ for argument in {arguments!r}:
     except SystemExit as end:
         code = end.code or 0
     print("code", code, "loaded", *(name for name in {heavy!r} if name in sys.modules))
+"""
+WITHOUT = """
+import sys
+sys.modules.update(dict.fromkeys({heavy!r}))  # an import of one of them fails
+from uavrl.cli.{command} import main
+sys.argv = ["uavrl-{command}", *{arguments!r}]
+main()
 """
 LIGHT = {
     "train": {
@@ -65,6 +75,37 @@ def test_help_and_mistakes_are_told_before_anything_heavy_loads(command: str) ->
     assert f"uavrl-{command} KEY=VALUE" in done.stdout
     ends = [line for line in done.stdout.splitlines() if line.startswith("code ")]
     assert ends == ["code 1 loaded"] * len(told) + ["code 0 loaded"]
+
+
+def test_a_taken_run_folder_is_refused_before_anything_heavy_loads(tmp_path: Path) -> None:
+    (tmp_path / "run/checkpoints").mkdir(parents=True)
+    (tmp_path / "run/checkpoints/checkpoint-1").touch()
+    code = RUN.format(package="uavrl", command="train", arguments=[f"run_dir={tmp_path / 'run'}"], heavy=HEAVY)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    (told,) = done.stderr.splitlines()
+    assert f"already contains a run: resume it with uavrl-train resume={tmp_path / 'run'}" in told
+    assert done.stdout == "code 1 loaded\n"
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "first"),
+    [
+        ("train", ["run_dir=FOLDER/run"], "Loading PyTorch ..."),
+        ("evaluate", ["policy=best"], "Loading best ..."),
+        ("replay", ["policy=best"], "Loading best ..."),
+        ("export", ["policy=best", "output=FOLDER/policy"], "Loading best ..."),
+        ("pretrain", [f"run={PACKAGED / 'best'}"], f"Loading {PACKAGED / 'best'} ..."),
+        ("sitl", [], "Loading the simulator ..."),
+    ],
+)
+def test_the_first_line_comes_before_anything_heavy_loads(
+    command: str, arguments: list[str], first: str, tmp_path: Path
+) -> None:
+    given = [each.replace("FOLDER", str(tmp_path)) for each in arguments]
+    code = WITHOUT.format(command=command, arguments=given, heavy=HEAVY)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 1 and done.stderr.splitlines()[0] == first
+    assert any(name in done.stderr.partition("\n")[2] for name in HEAVY), done.stderr
 
 
 @pytest.mark.parametrize("argument", SLOW)
