@@ -71,14 +71,13 @@ def test_tasks_are_flown_in_the_order_in_which_they_are_named() -> None:
     told = {"lidar": LidarConfig(max_range=4.0), "seed": 2}
     named = NavigationEnv(2, world=SEVERAL, tasks=[6, 1, 4], randomize={"mass": (0.8, 1.2)}, **told)
     every = NavigationEnv(1, world=SEVERAL, randomize={"mass": (0.8, 1.2)}, **told)
-    state, flown = named.reset(), {}
-    for reset in ([True, False], [False, True]):
-        masses = [each.mass for each in named.vehicle_params]
-        flown |= {task: (state[i], masses[i]) for i, task in enumerate(state["task"][:, 0].tolist())}
-        state = named.reset(TensorDict({"_reset": torch.tensor(reset)[:, None]}, [2]))
-    assert list(flown) == [6, 1, 4] and named.tasks_begun == 8
-    assert state["task"][:, 0].tolist() == [4, 7], "behind the last of them come further ones"
-    for task, (own, mass) in flown.items():
+    first, one_of_two = named.reset(), TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
+    flown = [(first[i], named.vehicle_params[i].mass) for i in (0, 1)]
+    flown += [(named.reset(one_of_two.clone())[0], named.vehicle_params[0].mass)]
+    assert [own["task"].item() for own, _ in flown] == [6, 1, 4]
+    further = named.reset(one_of_two.clone())[0]["task"].item()
+    assert (further, named.tasks_begun) == (7, 8), "behind the last of them"
+    for task, (own, mass) in zip((6, 1, 4), flown, strict=True):
         alone = every.reset(task=task)[0]
         for key in ("position", "goal", "world_seed", "attitude"):
             assert torch.equal(own[key], alone[key]), (task, key)
