@@ -44,7 +44,7 @@ def test_processes_fly_the_same_tasks_with_the_same_ends(tmp_path: Path) -> None
     """Seven tasks in two shares, and two of them in nine, of which seven have none."""
     one, two = (evaluation(tmp_path, f"processes={count}") for count in (1, 2))
     assert two.pop("processes") == 2 and "processes" not in one
-    assert two["outcomes"] == one["outcomes"] and set(one["outcomes"]) > {"S"}
+    assert two["outcomes"] == one["outcomes"] and len(set(one["outcomes"])) > 1
     for ours, theirs in zip(two.pop("flights"), one.pop("flights"), strict=True):
         assert ours.keys() == theirs.keys()
         for key, value in ours.items():
