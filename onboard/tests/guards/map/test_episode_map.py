@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from uavrl_onboard.guards.map import EpisodeMap, GoalFinder
-from uavrl_onboard.guards.map.route import SEEN_AROUND, route, waypoint
+from uavrl_onboard.guards.map.route import SEEN_AROUND, find_route, route, waypoint
 from uavrl_onboard.vehicle import VEHICLE
 
 CELL = 0.25
@@ -110,3 +112,17 @@ def test_it_forgets_what_is_far_also_where_nothing_is_seen() -> None:
     known.look(np.array([[1.0, 0.1]]), np.zeros(2))
     known.look(NONE, np.array([12.0, 0.0]))
     assert not len(known.occupied)
+
+
+@pytest.mark.parametrize("expected", [0.0, 0.7, 6.0])
+def test_the_way_is_that_of_a_search_through_all_cells_whatever_detour_is_expected(expected: float) -> None:
+    rng, detours = np.random.default_rng(0), []
+    for walls in rng.integers(1, 12, 20):
+        lines = [cells((x, x + 0.25), (y, y + 4.0)) for x, y in rng.uniform(-8.0, 8.0, (walls, 2))]
+        begin, end = rng.uniform(-9.0, 9.0, (2, 2))
+        way, detour = find_route(np.concatenate(lines), begin, end, CELL, detour=expected)
+        whole, least = find_route(np.concatenate(lines), begin, end, CELL, detour=math.inf)
+        np.testing.assert_array_equal(way, whole)
+        assert detour == least
+        detours.append(detour)
+    assert min(detours) < 0.5 and max(detours) > 3.0
