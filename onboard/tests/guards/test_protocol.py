@@ -125,6 +125,15 @@ def test_a_wall_beside_a_plane_still_slows_the_vehicle() -> None:
     assert chosen.guards["shield"].filter(ASKED, seen)[0, 0] <= alone.filter(ASKED)[0, 0] + 0.15 < 1.8
 
 
+def test_what_stands_is_the_scan_without_what_moves_and_without_misses() -> None:
+    cloud = np.array([[1.0, 0, 0], [np.nan] * 3, [2.0, 0, 0], [0.0] * 3, [3.0, 0, 0], [9.0, 0, 0]])
+    seen = situation(cloud)
+    assert seen.standing(0, 4.0)[:, 0].tolist() == [1.0, 2.0, 3.0]
+    seen.moving[0] = np.array([False, True, False, False])
+    assert seen.standing(0, 4.0)[:, 0].tolist() == [1.0, 3.0]
+    assert seen.standing(0, np.inf)[:, 0].tolist() == [1.0, 3.0, 9.0]
+
+
 def test_a_vehicle_without_a_new_scan_keeps_what_it_saw() -> None:
     guards = Guards(GuardSettings.all(), vehicles=2)
 
