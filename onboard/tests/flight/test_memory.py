@@ -12,16 +12,15 @@ FAULTS = """
 import resource, sys
 import numpy as np
 from uavrl_onboard.flight.memory import keep_memory
+from uavrl_onboard.lidar.coverage import Coverage
 if sys.argv[1] == "keep":
     keep_memory()
-points = np.ones((30_000, 3), np.float32)
-def cycle():
-    for _ in range(100):
-        x, y, z = points.astype(np.float64).T
-        x * x + y * y + z * z
-cycle()
+points, coverage = np.random.default_rng(0).normal(size=(27_000, 3)).astype(np.float32), Coverage()
+for _ in range(5):
+    coverage.add(points)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-cycle()
+for _ in range(20):
+    coverage.add(points)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
