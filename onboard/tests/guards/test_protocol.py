@@ -153,6 +153,21 @@ def test_a_vehicle_without_a_new_scan_keeps_what_it_saw() -> None:
     assert (again.objects[1] == first.objects[1]).all() and not again.objects[0].any()
 
 
+def test_another_vehicles_new_episode_does_not_blind_a_vehicle() -> None:
+    """An environment that begins one vehicle's episode gives the others no scan: they have had theirs."""
+    for names in ("all", ["shield"]):
+        guards = Guards(guard_settings(names), vehicles=2)
+        near = np.stack([wall(1.2)] * 2).astype(np.float32)
+        still = np.zeros((2, 3)), np.zeros((2, 3)), np.full(2, LEVEL), np.zeros(2)
+        guards.lead(Situation(near, *still))
+        before = guards.filter(np.tile(ASKED, (2, 1)))
+        assert before[1, 0] < 1.5, "the wall is near"
+        guards.reset(np.array([True, False]))
+        near[1] = np.nan
+        guards.lead(Situation(near, *still, which=np.array([True, False])))
+        np.testing.assert_array_equal(guards.filter(np.tile(ASKED, (2, 1))), before)
+
+
 def test_a_known_place_leads_as_a_place_that_is_found_out_does() -> None:
     ahead = wall(3.0, half=2.0) + np.array([0.0, 1.5, 0.0])
     guesses, knows = (Guards(GuardSettings(map=MapSettings())) for _ in range(2))

@@ -89,6 +89,9 @@ class Guards:
         """Take in new scans; return the angles ``[N]`` in rad that are added to the headings to the goals."""
         self._require_finite(seen)
         before, self._seen = self._seen, seen
+        if before is not None and seen.which is not None:
+            for one in np.flatnonzero(~seen.which).tolist():
+                seen.keep(before, one)
         if self._sight is not None and self.vehicles:
             self._detect_motion(self._sight, seen, before)
         turns = np.zeros(self.vehicles)
@@ -132,7 +135,6 @@ class Guards:
                 seen.moving[one] = sight.of_bodies(seen.columns(one), one)
             elif before is not None:
                 seen.objects[one] = before.objects[one]
-                seen.bodies[one], seen.moving[one] = before.bodies[one], before.moving[one]
 
 
 def far_points(columns: Columns) -> np.ndarray:

@@ -63,6 +63,11 @@ class Situation:
             self._columns[vehicle] = Columns.of(self.clouds[vehicle])
         return self._columns[vehicle]
 
+    def keep(self, before: Situation, vehicle: int) -> None:
+        """Take over the last scan of a vehicle that has no new one, and what moves in it."""
+        self.bodies[vehicle], self.moving[vehicle] = before.bodies[vehicle], before.moving[vehicle]
+        self._columns[vehicle] = before.columns(vehicle)
+
     def standing(self, vehicle: int, farthest: float) -> np.ndarray:
         """Return the returns of one vehicle nearer than ``farthest`` metres, without moving objects, ``[K, 3]``."""
         moving, columns = self.moving[vehicle], self.columns(vehicle)
