@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from uavrl_onboard.geometry import (
+    Columns,
     attitude_of,
     body_to_world,
+    first_least,
     heading_vector,
     hull_distances,
     is_inside,
@@ -92,10 +95,36 @@ def test_hull_and_altitudes_are_those_of_the_vehicle() -> None:
     assert off_altitudes(np.array([-1.5, 0.0, 2.5]), tall).tolist() == [0.5, 0.0, 0.5]
 
 
-def test_a_grids_graph_joins_neighbours_once_and_no_cell_across_a_border() -> None:
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_columns_hold_the_returns_of_a_scan_however_it_lies_in_memory(dtype: type, share: float, order: Any) -> None:
+    rng = np.random.default_rng(0)
+    cloud = rng.normal(scale=4.0, size=(500, 3))
+    misses = np.flatnonzero(rng.random(500) < share)
+    cloud[misses] = np.array([[np.nan] * 3, [0.0] * 3, [np.inf] * 3])[misses % 3]
+    cloud = np.asarray(cloud, dtype, order=order)
+    columns = Columns.of(cloud)
+    np.testing.assert_array_equal(columns.points.T, cloud[is_return(cloud)])
+    for farthest in (2.0, 12.0, np.inf):
+        np.testing.assert_array_equal(columns.rows(columns.within(farthest)), cloud[is_return(cloud, within(farthest))])
+
+
+def test_the_first_least_of_each_cell_is_that_of_a_sort_by_cell_and_value() -> None:
+    rng = np.random.default_rng(0)
+    cells, values = rng.integers(0, 40, 300) * 2, rng.integers(0, 9, 300).astype(float)
+    order = np.lexsort((values, cells))
+    expected = order[np.flatnonzero(np.diff(cells[order], prepend=-1))]
+    np.testing.assert_array_equal(first_least(cells, values, 80), expected)
+    assert not len(first_least(cells[:0], values[:0], 80))
+
+
+def test_a_grids_graph_joins_neighbours_both_ways_and_no_cell_across_a_border() -> None:
     free = np.array([[True, True, False], [True, False, True]])
     graph, index = grid_graph(free.shape, lambda a, b, far: (free[a] & free[b], np.full(free[a].shape, far)))
-    edges = {tuple(sorted(pair)): far for *pair, far in zip(*graph.coords, graph.data, strict=True)}
+    first, second = graph.nonzero()
+    edges = dict(zip(zip(first.tolist(), second.tolist(), strict=True), graph.data.tolist(), strict=True))
     a, b, c, d = (int(index[cell]) for cell in ((0, 0), (0, 1), (1, 0), (1, 2)))
-    assert edges == {(a, b): 1.0, (a, c): 1.0, (b, c): pytest.approx(math.sqrt(2)), (b, d): pytest.approx(math.sqrt(2))}
-    assert graph.nnz == 4
+    diagonal = pytest.approx(math.sqrt(2))
+    once = {(a, b): 1.0, (a, c): 1.0, (b, c): diagonal, (b, d): diagonal}
+    assert edges == once | {(other, one): far for (one, other), far in once.items()}

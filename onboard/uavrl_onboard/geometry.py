@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -56,6 +57,63 @@ def within(farthest: float) -> tuple[float, float]:
     return NEAREST_RETURN**2, farthest**2
 
 
+class Columns(NamedTuple):
+    """The returns of a scan, coordinate by coordinate, and the squares of their ranges.
+
+    Several look at different parts of one scan. Misses are left out once for all, and each coordinate is in one piece,
+    which NumPy runs through fastest.
+
+    Examples:
+        >>> scan = Columns.of(np.array([[3.0, 0, 0], [0, 0, 0], [5.0, 0, 0], [np.nan, 0, 0]]))
+        >>> scan.squared.tolist(), scan.within(4.0).tolist(), scan.rows(scan.within(4.0)).tolist()
+        ([9.0, 25.0], [0], [[3.0, 0.0, 0.0]])
+    """
+
+    points: np.ndarray  #: ``[3, M]`` in m in the sensor frame, in the scan's order
+    squared: np.ndarray  #: ``[M]`` in m²
+
+    @classmethod
+    def of(cls, cloud: np.ndarray) -> Columns:
+        """Return the columns of a scan ``[P, 3]``."""
+        x, y, z = points = cloud.T if cloud.strides[0] == cloud.itemsize else np.ascontiguousarray(cloud.T)
+        with np.errstate(over="ignore", invalid="ignore"):
+            squared = x * x + y * y + z * z
+            kept = np.flatnonzero((squared > NEAREST_RETURN**2) & (squared < np.inf))
+        if len(kept) < len(squared):
+            points, squared = np.stack([axis.take(kept) for axis in points]), squared.take(kept)
+        return cls(points, squared)
+
+    def within(self, farthest: float) -> np.ndarray:
+        """Return the places of the returns nearer than ``farthest`` metres, ``[K]``."""
+        return self.between(within(farthest))
+
+    def between(self, squared_range: tuple[float, float]) -> np.ndarray:
+        """Return the places of the returns within some squares of ranges, ``[K]``, as :func:`is_return` does."""
+        return np.flatnonzero((self.squared > squared_range[0]) & (self.squared < squared_range[1]))
+
+    def rows(self, which: np.ndarray) -> np.ndarray:
+        """Return the points at some places, ``[K, 3]``."""
+        return np.ascontiguousarray(self.points.take(which, axis=1).T)
+
+
+def first_least(cells: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Return the place of the least value in each of ``count`` cells that has any, cell by cell; the first of equals.
+
+    Args:
+        cells: ``int [M]``, in which the values lie.
+        values: ``[M]``, none NaN.
+        count: of the cells.
+
+    Examples:
+        >>> first_least(np.array([2, 0, 2, 2]), np.array([5.0, 7.0, 3.0, 3.0]), 4).tolist()
+        [1, 2]
+    """
+    least = np.full(count, np.inf, values.dtype)
+    np.minimum.at(least, cells, values)
+    reached = np.flatnonzero(values == least.take(cells))
+    return reached.take(np.unique(cells.take(reached), return_index=True)[1])
+
+
 def stretch(near: float, hull: Hull = VEHICLE.hull) -> np.ndarray:
     """Return the factors ``[3]`` that make the flat hull, with ``near`` metres kept all around it, as high as wide.
 
@@ -91,7 +149,10 @@ def is_inside(points: np.ndarray, hull: Hull = VEHICLE.hull) -> np.ndarray:
         >>> is_inside(np.array([[0.3, 0.0, 0.1], [0.3, 0.0, 0.2]])).tolist()
         [True, False]
     """
-    return (np.hypot(points[:, 0], points[:, 1]) < hull[0]) & (np.abs(points[:, 2]) < hull[1])
+    beside = np.abs(points[:, 2]) < hull[1]
+    if beside.any():
+        beside &= np.hypot(points[:, 0], points[:, 1]) < hull[0]
+    return beside
 
 
 def off_altitudes(off: np.ndarray, vehicle: Vehicle = VEHICLE) -> np.ndarray:
@@ -182,12 +243,12 @@ def body_to_world(attitudes: np.ndarray) -> np.ndarray:
         [0.0, 1.0, 0.0]
     """
     (cr, cp, cy), (sr, sp, sy) = np.cos(attitudes).T, np.sin(attitudes).T
-    rows = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
+    rotations = np.empty((*cr.shape, 3, 3), cr.dtype)
+    rotations[..., 0, 0], rotations[..., 1, 0], rotations[..., 2, 0] = cy * cp, sy * cp, -sp
+    rotations[..., 0, 1], rotations[..., 0, 2] = cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    rotations[..., 1, 1], rotations[..., 1, 2] = sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    rotations[..., 2, 1], rotations[..., 2, 2] = cp * sr, cp * cr
+    return rotations
 
 
 def body_to_level(attitudes: np.ndarray) -> np.ndarray:
@@ -223,8 +284,9 @@ def rotation_about(axes: np.ndarray, angles: np.ndarray | float) -> np.ndarray:
     """
     angles = np.asarray(angles)[..., None, None]
     x, y, z = axes[..., 0], axes[..., 1], axes[..., 2]
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
+    cross = np.zeros((*x.shape, 3, 3), axes.dtype)
+    cross[..., 1, 0], cross[..., 0, 2], cross[..., 2, 1] = z, y, x
+    cross[..., 0, 1], cross[..., 2, 0], cross[..., 1, 2] = -z, -y, -x
     return np.eye(3) + np.sin(angles) * cross + (1 - np.cos(angles)) * cross @ cross
 
 

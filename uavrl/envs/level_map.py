@@ -50,7 +50,7 @@ class LevelMap:
         self.shape = fits.shape
         self.width = 2 * (free + place.config.uav_radius)
         self.first = place.origin + place.corner
-        self._graph = grid_graph(fits.shape, weighed)[0].tocsr()
+        self._graph = grid_graph(fits.shape, weighed)[0]
         self._fitting = np.stack(distance_transform_edt(~fits, return_distances=False, return_indices=True), -1)
 
     def cell(self, positions: np.ndarray) -> np.ndarray:
@@ -76,4 +76,4 @@ class LevelMap:
         Source: Dijkstra (1959), A note on two problems in connexion with graphs.
         """
         last = int(self.number(cell))
-        return Ways(*dijkstra(self._graph, directed=False, indices=last, return_predecessors=True))
+        return Ways(*dijkstra(self._graph, indices=last, return_predecessors=True))

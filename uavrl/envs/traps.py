@@ -253,4 +253,4 @@ def ways_at(flight: FlightMap, level: float, radius: float) -> tuple[csr_array, 
 
     graph, index = grid_graph(allowed.shape, weighed)
     cell = np.rint((flight.candidates - (space.x[0], space.y[0])) / CELL).astype(int)
-    return (graph + graph.T).tocsr(), index[cell[:, 0], cell[:, 1]]
+    return graph, index[cell[:, 0], cell[:, 1]]

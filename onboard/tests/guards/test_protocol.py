@@ -125,6 +125,15 @@ def test_a_wall_beside_a_plane_still_slows_the_vehicle() -> None:
     assert chosen.guards["shield"].filter(ASKED, seen)[0, 0] <= alone.filter(ASKED)[0, 0] + 0.15 < 1.8
 
 
+def test_what_stands_is_the_scan_without_what_moves_and_without_misses() -> None:
+    cloud = np.array([[1.0, 0, 0], [np.nan] * 3, [2.0, 0, 0], [0.0] * 3, [3.0, 0, 0], [9.0, 0, 0]])
+    seen = situation(cloud)
+    assert seen.standing(0, 4.0)[:, 0].tolist() == [1.0, 2.0, 3.0]
+    seen.moving[0] = np.array([False, True, False, False])
+    assert seen.standing(0, 4.0)[:, 0].tolist() == [1.0, 3.0]
+    assert seen.standing(0, np.inf)[:, 0].tolist() == [1.0, 3.0, 9.0]
+
+
 def test_a_vehicle_without_a_new_scan_keeps_what_it_saw() -> None:
     guards = Guards(GuardSettings.all(), vehicles=2)
 
@@ -142,6 +151,21 @@ def test_a_vehicle_without_a_new_scan_keeps_what_it_saw() -> None:
     assert not len(again.bodies[0]) and again.moving[0] is None
     assert again.bodies[1] is first.bodies[1] and again.moving[1] is first.moving[1]
     assert (again.objects[1] == first.objects[1]).all() and not again.objects[0].any()
+
+
+def test_another_vehicles_new_episode_does_not_blind_a_vehicle() -> None:
+    """An environment that begins one vehicle's episode gives the others no scan: they have had theirs."""
+    for names in ("all", ["shield"]):
+        guards = Guards(guard_settings(names), vehicles=2)
+        near = np.stack([wall(1.2)] * 2).astype(np.float32)
+        still = np.zeros((2, 3)), np.zeros((2, 3)), np.full(2, LEVEL), np.zeros(2)
+        guards.lead(Situation(near, *still))
+        before = guards.filter(np.tile(ASKED, (2, 1)))
+        assert before[1, 0] < 1.5, "the wall is near"
+        guards.reset(np.array([True, False]))
+        near[1] = np.nan
+        guards.lead(Situation(near, *still, which=np.array([True, False])))
+        np.testing.assert_array_equal(guards.filter(np.tile(ASKED, (2, 1))), before)
 
 
 def test_a_known_place_leads_as_a_place_that_is_found_out_does() -> None:

@@ -16,6 +16,7 @@ from uavrl_onboard.autopilot.frames import Pose, to_goal
 from uavrl_onboard.autopilot.vehicle_state import Control
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.flight.interfaces import FlightCycle, ScanFeed, VehicleLink
+from uavrl_onboard.flight.memory import keep_memory
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
 from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyState
 from uavrl_onboard.flight.scan_motion import ScanMotion
@@ -80,6 +81,7 @@ class Flight:
     ) -> None:
         if len(goal) != 3 or not np.isfinite(goal).all():
             raise UavrlError(f"goal must be three finite numbers x, y, z in metres, got {goal!r}.")
+        keep_memory()
         self.goal = tuple(float(each) for each in goal)
         self.arrived: float | None = None
         self.period = 1.0 / policy.contract.rate_hz

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.geometry import Columns
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.map import Wayfinder
 from uavrl_onboard.guards.protocol import Guard, Situation
 from uavrl_onboard.guards.settings import EvasionSettings, GuardSettings, MapSettings, ShieldSettings
 from uavrl_onboard.guards.shield import Shields
-from uavrl_onboard.perception.motion.occlusion import Grid
-from uavrl_onboard.perception.motion.rays import far_rays
+from uavrl_onboard.perception.motion.occlusion import Grid, Returns
+from uavrl_onboard.perception.motion.rays import far_rays_of
 from uavrl_onboard.perception.motion.sight import MotionSight
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
@@ -34,6 +35,7 @@ def _shield(settings: ShieldSettings, vehicles: int, vehicle: Vehicle) -> Guard:
 
 GUARDS: Mapping[str, Callable[[Any, int, Vehicle], Guard]] = {"map": _map, "evasion": _evasion, "shield": _shield}
 """What makes each guard, by its name."""
+NOTHING = np.zeros((3, 0), np.float32)
 
 
 class Guards:
@@ -87,6 +89,9 @@ class Guards:
         """Take in new scans; return the angles ``[N]`` in rad that are added to the headings to the goals."""
         self._require_finite(seen)
         before, self._seen = self._seen, seen
+        if before is not None and seen.which is not None:
+            for one in np.flatnonzero(~seen.which).tolist():
+                seen.keep(before, one)
         if self._sight is not None and self.vehicles:
             self._detect_motion(self._sight, seen, before)
         turns = np.zeros(self.vehicles)
@@ -120,20 +125,18 @@ class Guards:
     def _detect_motion(self, sight: MotionSight, seen: Situation, before: Situation | None) -> None:
         """Write into ``seen`` what moves; vehicles without a new scan keep what they saw before."""
         which = np.ones(self.vehicles, bool) if seen.which is None else seen.which
-        seen.objects = sight.look(_thinned(seen.clouds), seen.velocities, seen.attitudes, which, seen.elapsed)
+        points = [far_points(seen.columns(one)) if which[one] else NOTHING for one in range(self.vehicles)]
+        owners = np.repeat(np.arange(self.vehicles), [each.shape[1] for each in points])
+        returns = Returns.of_points(np.concatenate(points, 1), owners, sight.max_range)
+        seen.objects = sight.look_at(returns, seen.velocities, seen.attitudes, which, seen.elapsed)
         for one in range(self.vehicles):
             if which[one]:
                 seen.bodies[one] = sight.bodies[one]
-                seen.moving[one] = sight.of_bodies(seen.clouds[one], one)
+                seen.moving[one] = sight.of_bodies(seen.columns(one), one)
             elif before is not None:
                 seen.objects[one] = before.objects[one]
-                seen.bodies[one], seen.moving[one] = before.bodies[one], before.moving[one]
 
 
-def _thinned(clouds: np.ndarray) -> np.ndarray:
-    """Return of each scan ``[N, P, 3]`` the rays that look for motion, ``[N, Q, 3]``, NaN where one has fewer."""
-    rays = [far_rays(cloud) for cloud in clouds]
-    found = np.full((len(rays), max(map(len, rays), default=0), 3), np.nan, clouds.dtype)
-    for one, each in enumerate(rays):
-        found[one, : len(each)] = each
-    return found
+def far_points(columns: Columns) -> np.ndarray:
+    """Return the points of a scan that look for motion, ``[3, Q]``."""
+    return columns.points.take(far_rays_of(columns), axis=1)

@@ -54,7 +54,7 @@ class Evasion:
         """Return the velocities ``[N, 3]`` that avoid moving objects, in m/s: forward, left and up."""
         limit = self.vehicle.velocity_limit
         flown = np.asarray(velocities, float).clip(-limit, limit)
-        if not len(flown):
+        if not seen.objects.any():
             return flown
         ways, known = straight_on(seen.objects.reshape(len(seen.objects), -1).astype(float))
         tilts, own = body_to_level(seen.attitudes), world_to_yaw(seen.velocities, seen.attitudes[:, 2])
@@ -62,7 +62,7 @@ class Evasion:
         heights = seen.altitudes - self.vehicle.flight_level
         asked = flown.copy()
         for one in np.flatnonzero(greatest_threats(asked, own, ways, known) > 0).tolist():
-            mine, around = slice(one, one + 1), self._around(seen.standing(one), tilts[one])
+            mine, around = slice(one, one + 1), self._around(seen.standing(one, STANDING), tilts[one])
             told = asked[mine], own[mine], ways[mine], known[mine], around, heights[mine, None]
             flown[mine] = evaded(*told, self.vehicle)
         return flown

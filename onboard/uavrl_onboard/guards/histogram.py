@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from uavrl_onboard.geometry import first_least
+
 AZIMUTHS, ELEVATIONS = 45, 23  # of the polar histogram (Baumann 2018, section 3.1), 8 degrees each
 
 
@@ -27,6 +29,5 @@ def polar_histogram(points: np.ndarray, owners: np.ndarray, count: int) -> list[
     rise = np.arcsin((z / np.maximum(ranges, 1e-6)).clip(-1, 1)) / np.pi + 0.5
     elevation = np.minimum((rise * ELEVATIONS).astype(np.int64), ELEVATIONS - 1)
     cell = (owners * AZIMUTHS + azimuth) * ELEVATIONS + elevation
-    order = np.lexsort((ranges, cell))
-    first = order[np.flatnonzero(np.diff(cell[order], prepend=-1))]  # in the order of the cells
+    first = first_least(cell, ranges, count * AZIMUTHS * ELEVATIONS)
     return np.split(points[first], np.searchsorted(owners[first], np.arange(1, count)))

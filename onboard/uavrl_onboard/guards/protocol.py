@@ -12,6 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
+from uavrl_onboard.geometry import Columns
+
 
 @dataclass
 class Situation:
@@ -31,7 +33,7 @@ class Situation:
     Attributes:
         objects: The nearest moving objects, ``float32 [N, K, 7]`` as
             ``MotionSight`` reports them.
-        moving: Of each vehicle, which points of its scan belong to moving objects, ``bool [P]``; None for no point.
+        moving: Of each vehicle, which returns of its scan belong to moving objects, ``bool [M]``; None for no return.
         bodies: Of each vehicle, all moving objects, ``[M, 7]``.
     """
 
@@ -47,7 +49,7 @@ class Situation:
     objects: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 7), np.float32))
     moving: list[np.ndarray | None] = field(default_factory=list)
     bodies: list[np.ndarray] = field(default_factory=list)
-    _standing: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
+    _columns: dict[int, Columns] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Begin with nothing that moves."""
@@ -55,14 +57,22 @@ class Situation:
             self.moving = [None] * len(self.clouds)
             self.bodies = [np.zeros((0, 7), np.float32)] * len(self.clouds)
 
-    def standing(self, vehicle: int) -> np.ndarray:
-        """Return the scan of one vehicle without the points of moving objects, ``[P, 3]``."""
-        moving, cloud = self.moving[vehicle], self.clouds[vehicle]
-        if moving is None or not moving.any():
-            return cloud
-        if vehicle not in self._standing:  # map and shield ask for it
-            self._standing[vehicle] = cloud.take(np.flatnonzero(~moving), axis=0)
-        return self._standing[vehicle]
+    def columns(self, vehicle: int) -> Columns:
+        """Return the returns of one vehicle's scan; guards look at different parts of them."""
+        if vehicle not in self._columns:
+            self._columns[vehicle] = Columns.of(self.clouds[vehicle])
+        return self._columns[vehicle]
+
+    def keep(self, before: Situation, vehicle: int) -> None:
+        """Take over the last scan of a vehicle that has no new one, and what moves in it."""
+        self.bodies[vehicle], self.moving[vehicle] = before.bodies[vehicle], before.moving[vehicle]
+        self._columns[vehicle] = before.columns(vehicle)
+
+    def standing(self, vehicle: int, farthest: float) -> np.ndarray:
+        """Return the returns of one vehicle nearer than ``farthest`` metres, without moving objects, ``[K, 3]``."""
+        moving, columns = self.moving[vehicle], self.columns(vehicle)
+        kept = columns.within(farthest)
+        return columns.rows(kept if moving is None else kept[~moving.take(kept)])
 
 
 class Guard(Protocol):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import body_to_level, is_inside, is_return, within, world_to_yaw
+from uavrl_onboard.geometry import body_to_level, first_least, is_inside, is_return, within, world_to_yaw
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.vehicle import DECELERATION, VEHICLE, Vehicle, stopping_distance
 
@@ -83,6 +83,10 @@ class Shield:
     def _kept(self) -> float:
         return self.vehicle.radius + self._margin
 
+    @property
+    def _sight(self) -> float:
+        return sight_at(self.sight, self.vehicle.velocity_limit)
+
     def __call__(
         self, asked: np.ndarray, cloud: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
     ) -> np.ndarray:
@@ -110,13 +114,17 @@ class Shield:
         self, cloud: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors ``[M, 3]`` in the yaw-aligned frame, and how fast one may fly there: ``[M]`` in m/s."""
-        points = self._points(cloud, tilt)
+        x, y, z = np.ascontiguousarray(self._points(cloud, tilt).T)  # coordinate by coordinate: that is faster
         kept = self._kept
-        stretch = np.array([1.0, 1.0, kept / (self.vehicle.hull[1] + self._margin)])  # makes hull and margin a ball
-        distances = np.linalg.norm(points * stretch, axis=1)
-        steepest = points * stretch**2 / np.maximum(distances, 1e-9)[:, None]  # of the stretched distance
-        slopes = np.maximum(np.linalg.norm(steepest, axis=1), 1e-9)
-        towards, gaps = steepest / slopes[:, None], (distances - kept) / slopes
+        stretch = kept / (self.vehicle.hull[1] + self._margin)  # of heights makes hull and margin a ball
+        high = z * stretch
+        distances = np.sqrt(x * x + y * y + high * high)
+        apart = np.maximum(distances, 1e-9)
+        x, y, z = steepest = np.stack(
+            [x / apart, y / apart, z * (stretch * stretch) / apart]
+        )  # of the stretched distance
+        slopes = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-9)
+        towards, gaps = np.ascontiguousarray((steepest / slopes).T), (distances - kept) / slopes
         gaps -= self.lag * (towards @ velocity).clip(min=0.0)
         chosen = _nearest_of_each_direction(towards, gaps)
         return towards[chosen], closing_speeds(gaps[chosen].clip(min=0.0), self.time, self.vehicle.velocity_limit)
@@ -124,8 +132,7 @@ class Shield:
     def _points(self, cloud: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
         """The returns within sight and outside the hull, from its middle, in level axes: ``[M, 3]`` in m."""
         level = body_to_level(np.array([[*tilt, 0.0]]))[0]
-        sight = sight_at(self.sight, self.vehicle.velocity_limit)
-        points = np.asarray(cloud[is_return(cloud, within(sight))], float)
+        points = np.asarray(cloud[is_return(cloud, within(self._sight))], float)
         points = points + np.array([0.0, 0.0, self.vehicle.lidar_above])
         return np.asarray(points[~is_inside(points, self.vehicle.hull)] @ level.T)
 
@@ -143,7 +150,7 @@ class Shields(Shield):
         """Return the velocities ``[N, 3]`` that the shield allows, in m/s: forward, left and up."""
         own = world_to_yaw(seen.velocities, seen.attitudes[:, 2])
         allowed = [
-            self(wanted, seen.standing(one), (seen.attitudes[one, 0], seen.attitudes[one, 1]), own[one])
+            self(wanted, seen.standing(one, self._sight), (seen.attitudes[one, 0], seen.attitudes[one, 1]), own[one])
             for one, wanted in enumerate(velocities)
         ]
         return np.array(allowed).reshape(-1, 3)
@@ -176,11 +183,10 @@ def sight_at(sight: float, limit: float) -> float:
 
 
 def _nearest_of_each_direction(towards: np.ndarray, gaps: np.ndarray) -> np.ndarray:
-    """Which of M points in directions ``[M, 3]`` has the least gap ``[M]`` in its part of the sphere."""
+    """Which of M points in directions ``[M, 3]`` has the least gap ``[M]`` in its part of the sphere, part by part."""
     azimuth = ((np.arctan2(towards[:, 1], towards[:, 0]) / np.pi + 1) * AZIMUTHS / 2).astype(int) % AZIMUTHS
     part = azimuth * RISES + ((towards[:, 2] + 1) / 2 * RISES).astype(int).clip(0, RISES - 1)
-    order = np.lexsort((gaps, part))
-    return order[np.flatnonzero(np.diff(part[order], prepend=-1))]
+    return first_least(part, gaps, AZIMUTHS * RISES)
 
 
 def keep_within(

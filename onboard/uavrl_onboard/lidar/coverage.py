@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from uavrl_onboard.geometry import is_return
+from uavrl_onboard.geometry import Columns
 
 EMPTY = 10
 """Scans in a row without a return, 1 s at 10 Hz: at 2 m/s that is half of the 4 m that a policy sees."""
@@ -94,41 +94,43 @@ class Coverage:
             points: ``[P, 3]`` in the sensor frame, m.
             yaw: of the vehicle, rad; None where nobody says.
         """
-        points = points[is_return(points)]
-        self._empty = 0 if points.size else self._empty + 1
+        columns = Columns.of(points)
+        self._empty = 0 if columns.squared.size else self._empty + 1
         if self._empty >= EMPTY:
             cause = "is the sensor covered, its laser off, or its driver's range too short?"
             return Doubt("empty_scans", f"{self._empty} scans in a row hold no return at all: {cause}", True)
-        if points.shape[0] < JUDGED:
+        if columns.squared.size < JUDGED:
             return None
-        odd = _odd_ranges(points)
+        odd = None if _differ(columns.squared) else _odd_ranges(np.ascontiguousarray(columns.points.T))
         self._odd = 0 if odd is None else self._odd + 1
         if odd is not None and self._odd >= _ODD:
             return Doubt("odd_ranges", odd, True)
-        self._count(points)
+        self._count(columns.points)
         if yaw is not None and math.isfinite(yaw):
             self._first_yaw = yaw if self._first_yaw is None else self._first_yaw
             self._turned = max(self._turned, abs(math.remainder(yaw - self._first_yaw, math.tau)))
         return self._lost() or self._parts() or self._window()
 
     def _count(self, points: np.ndarray) -> None:
-        x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
-        degree = np.floor(np.degrees(np.arctan2(y, x))).astype(int) % 360
-        far = np.hypot(x, y)
-        seen = (np.bincount(degree, minlength=360) > 0) | self._beside
+        """Take in the returns ``[3, M]``."""
+        x, y = points[:2].astype(np.float64)
+        degree = np.floor(np.degrees(np.arctan2(y, x))).astype(np.int64)
+        degree += 360 * (degree < 0)
+        far = x * x + y * y  # squared
+        least = np.full(360, np.inf)
+        np.minimum.at(least, degree, far)
+        seen = (least < np.inf) | self._beside
         self._recent.append(seen)
         self._ever |= seen
         coarse = seen.reshape(-1, _COARSE).any(1)
         self._run = np.where(coarse, np.where(self._last == self._scans - 1, self._run, 0) + 1, self._run)
         self._last[coarse] = self._scans
-        nearest = np.full(self._nearest.shape, np.inf)
-        np.minimum.at(nearest, degree // _COARSE, far)
-        self._nearest = np.where(coarse, nearest, self._nearest)
-        self._farthest = max(self._farthest, float(far.max()))
+        self._nearest = np.where(coarse, np.sqrt(least.reshape(-1, _COARSE).min(1)), self._nearest)
+        self._farthest = max(self._farthest, math.sqrt(far.max()))
         self._scans += 1
-        wide, least = _PART
-        near = far < _NEAR * self._farthest
-        self._near.append(np.bincount(degree[near] // wide, minlength=360 // wide) >= least)
+        wide, enough = _PART
+        near = degree.take(np.flatnonzero(far < (_NEAR * self._farthest) ** 2))
+        self._near.append(np.bincount(near, minlength=360).reshape(-1, wide).sum(1) >= enough)
 
     def _parts(self) -> Doubt | None:
         """Directions that have near returns in some scans and none in others, again and again."""
@@ -176,6 +178,12 @@ class Coverage:
         where = f"no return has ever come {_between(start, length)}"
         cause = "does the driver's window cut it off?"
         return Doubt("half_scan", f"{where}: {cause if certain else f'is nothing in range there, or {cause}'}", certain)
+
+
+def _differ(squared: np.ndarray) -> bool:
+    """Return whether some ranges, whose squares these are, are so different and so short that none is odd."""
+    farthest, nearest = math.sqrt(squared.max()), math.sqrt(squared.min())
+    return farthest < 0.99 * FARTHEST and farthest - nearest > 1.01 * _SPREAD[0] * farthest
 
 
 def _odd_ranges(points: np.ndarray) -> str | None:

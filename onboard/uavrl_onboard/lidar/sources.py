@@ -190,4 +190,7 @@ def without_vehicle(
         [[2.0, 0.0, 0.0]]
     """
     at = points if sensor is None else points + np.asarray(sensor, points.dtype)
-    return points[~((at >= low) & (at <= high)).all(-1)]
+    outside = np.zeros(len(at), bool)
+    for axis, least, greatest in zip(at.T, low, high, strict=True):
+        outside |= ~((axis >= least) & (axis <= greatest))
+    return points if outside.all() else points.take(np.flatnonzero(outside), axis=0)

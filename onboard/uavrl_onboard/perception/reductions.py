@@ -14,7 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import NEAREST_RETURN, is_return
+from uavrl_onboard.geometry import NEAREST_RETURN, Columns
 from uavrl_onboard.perception.cells import (
     LARGEST_RADIUS,
     NUM_FACES,
@@ -121,7 +121,8 @@ def _returns(points: np.ndarray, radius: float, statistic: str) -> tuple[np.ndar
         raise UavrlError(f"radius must be in ({NEAREST_RETURN:g}, {LARGEST_RADIUS:g}] metres, got {radius!r}.")
     if statistic not in get_args(Statistic):
         raise UavrlError(f"statistic must be one of {', '.join(get_args(Statistic))}, got {statistic!r}.")
-    x, y, z = points[is_return(points, return_bounds(radius))].T
+    columns = Columns.of(points)
+    x, y, z = columns.points.take(columns.between(return_bounds(radius)), axis=1)
     return x, y, z
 
 

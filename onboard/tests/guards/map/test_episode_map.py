@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from uavrl_onboard.guards.map import EpisodeMap, GoalFinder
-from uavrl_onboard.guards.map.route import SEEN_AROUND, route, waypoint
+from uavrl_onboard.guards.map.lines import Obstacles
+from uavrl_onboard.guards.map.route import SEEN_AROUND, find_route, route, waypoint
 from uavrl_onboard.vehicle import VEHICLE
 
 CELL = 0.25
@@ -110,3 +113,32 @@ def test_it_forgets_what_is_far_also_where_nothing_is_seen() -> None:
     known.look(np.array([[1.0, 0.1]]), np.zeros(2))
     known.look(NONE, np.array([12.0, 0.0]))
     assert not len(known.occupied)
+
+
+@pytest.mark.parametrize("expected", [0.0, 0.7, 6.0])
+def test_the_way_is_that_of_a_search_through_all_cells_whatever_detour_is_expected(expected: float) -> None:
+    rng, detours = np.random.default_rng(0), []
+    for walls in rng.integers(1, 12, 20):
+        lines = [cells((x, x + 0.25), (y, y + 4.0)) for x, y in rng.uniform(-8.0, 8.0, (walls, 2))]
+        begin, end = rng.uniform(-9.0, 9.0, (2, 2))
+        way, detour = find_route(np.concatenate(lines), begin, end, CELL, detour=expected)
+        whole, least = find_route(np.concatenate(lines), begin, end, CELL, detour=math.inf)
+        np.testing.assert_array_equal(way, whole)
+        assert detour == least
+        detours.append(detour)
+    assert min(detours) < 0.5 and max(detours) > 3.0
+
+
+def test_the_waypoint_is_that_of_all_obstacles_and_all_points_of_the_way() -> None:
+    rng, straight = np.random.default_rng(0), []
+    for obstacles in (rng.uniform(-15.0, 15.0, (count, 2)) for count in rng.integers(0, 60, 60)):
+        way = np.cumsum(rng.uniform(-0.1, 0.3, (70, 2)), axis=0)
+        place = way[rng.integers(0, 40)] + 0.1
+        first = int(((way - place) ** 2).sum(1).argmin())
+        free = Obstacles(obstacles, place, VEHICLE.radius + SEEN_AROUND).free(np.tile(place, (70, 1)), way)[first:]
+        last = int(free.nonzero()[0].max(initial=-1))
+        sees_far = last >= 0 and (last == 69 - first or np.linalg.norm(way[first + last] - place) >= 4.0)
+        found, is_straight = waypoint(way, place, obstacles, ahead=4.0)
+        assert is_straight == sees_far and (found == first + last or not sees_far)
+        straight.append(is_straight)
+    assert 10 < sum(straight) < 50

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uavrl_onboard.guards.map.route import route
+from uavrl_onboard.guards.map.route import find_route
 from uavrl_onboard.vehicle import VEHICLE
 
 PAST = 1.5  # s, in which a body that is now known to move may have left cells in the map
@@ -31,6 +31,7 @@ class EpisodeMap:
         self.cell, self.reach, self.radius = cell, reach, radius
         self.occupied = np.zeros((0, 2), np.int64)
         self.since = np.zeros(0)  # s, when each of them was first seen
+        self._detour = 0.0  # m, of the last way
 
     def look(self, points: np.ndarray, place: np.ndarray, now: float = 0.0) -> None:
         """Take in what is seen at the flight level.
@@ -68,9 +69,14 @@ class EpisodeMap:
             [[3.125, -2.125]]
         """
         age = now - self.since
-        was = place - age[:, None] * velocity
-        left = (age <= PAST) & (((self.middles() - was) ** 2).sum(1) < radius**2)
-        self.occupied, self.since = self.occupied[~left], self.since[~left]
+        young = np.flatnonzero(age <= PAST)
+        if not len(young):
+            return
+        was = place - age[young, None] * velocity
+        middles = (self.occupied[young] + 0.5) * self.cell
+        left = young[((middles - was) ** 2).sum(1) < radius**2]
+        if len(left):
+            self.occupied, self.since = np.delete(self.occupied, left, 0), np.delete(self.since, left)
 
     def middles(self) -> np.ndarray:
         """The middles of the cells in which something was seen, ``[K, 2]`` m."""
@@ -78,7 +84,8 @@ class EpisodeMap:
 
     def route(self, place: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
         """The quickest way, ``[L, 2]`` m; None for none."""
-        return route(self.occupied, place, goal, self.cell, self.radius)
+        way, self._detour = find_route(self.occupied, place, goal, self.cell, self.radius, self._detour)
+        return way
 
 
 def _distinct(cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

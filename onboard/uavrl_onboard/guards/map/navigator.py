@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ LEVEL = 0.4  # m over and under the flight level, within which what is seen is i
 ELSEWHERE = 2.0  # m between two scans, after which the map is no longer of where the vehicle is
 EVERY = 5  # of so many scans one is entered, and then the way is found anew: 2 Hz of 10
 AHEAD = 4.0  # m, how far along the way a vehicle looks
+ROUGH = 1e-4  # share of the sight by which heights in single precision may be off, and more
 BESIDE = 0.5  # m around a moving body, in which the cells that it left lie
 FARTHEST = 1e8  # m from the origin, beyond which no vehicle is: cells are counted in 32 bits
 
@@ -96,6 +97,17 @@ class Navigator:
                 ``MotionSight`` reports them. Their points are not in ``cloud``;
                 cells that they left before they were known to move are forgotten.
         """
+        return self.lead(lambda: cloud, attitude, place, goal, bodies)
+
+    def lead(
+        self,
+        cloud: Callable[[], np.ndarray],
+        attitude: np.ndarray,
+        place: np.ndarray,
+        goal: np.ndarray,
+        bodies: np.ndarray | None = None,
+    ) -> float:
+        """Do what :meth:`look` does; ask for the scan, which takes time, only where it is entered into the map."""
         if not np.isfinite([*attitude, *place]).all() or np.abs(place).max() > FARTHEST:
             return 0.0
         level = np.array(place[:2], np.float64)  # its own: a caller may move its place on in the same array
@@ -106,10 +118,11 @@ class Navigator:
         due, now = self._scans % EVERY == 0, self._scans * self.period
         self._last, self._scans = level, self._scans + 1
         if due:
-            self.known.look(self._seen(cloud, attitude, place[2]) + level, level, now)
-        for body in () if bodies is None else bodies:
-            there, velocity = yaw_to_world(np.stack([body[:2], body[3:5]]), float(attitude[2]))
-            self.known.forget(level + there, velocity, body[6] / 2 + BESIDE, now)
+            self.known.look(self._seen(cloud(), attitude, place[2]) + level, level, now)
+        if bodies is not None and len(bodies):
+            ways = yaw_to_world(np.stack([bodies[:, :2], bodies[:, 3:5]], 1), float(attitude[2]))
+            for (there, velocity), size in zip(ways, bodies[:, 6], strict=True):
+                self.known.forget(level + there, velocity, size / 2 + BESIDE, now)
         if due:
             self._way = self.known.route(level, goal)
         if self._way is None:
@@ -123,5 +136,8 @@ class Navigator:
     def _seen(self, cloud: np.ndarray, attitude: np.ndarray, altitude: float) -> np.ndarray:
         """What a scan shows at the flight level, ``[K, 2]`` m from the vehicle, world axes."""
         rotation = body_to_world(attitude[None])[0]
-        points = cloud[is_return(cloud, within(self.sight))] @ rotation.T + rotation @ np.array(self.sensor_position)
+        above = rotation @ np.array(self.sensor_position)
+        returns = cloud.take(np.flatnonzero(is_return(cloud, within(self.sight))), axis=0)
+        rough = returns @ rotation[2].astype(returns.dtype) + (above[2] + altitude - self.flight_level)
+        points = returns.take(np.flatnonzero(np.abs(rough) < LEVEL + ROUGH * self.sight), axis=0) @ rotation.T + above
         return points[np.abs(points[:, 2] + altitude - self.flight_level) < LEVEL, :2]

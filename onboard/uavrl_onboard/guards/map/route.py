@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from uavrl_onboard.guards.map.grid import Slices, grid_graph
@@ -12,6 +14,9 @@ EDGE = 2.0  # m, free around all that is known: there a way leads around it
 WIDE = 1.2  # m from the hull's middle to an obstacle, from which on a way counts once
 TIGHT = 0.6  # m, nearer than which it counts SQUEEZED times; between both, up to 3 times
 SQUEEZED = 10.0
+ROOM = (0.5, 3.0, math.inf)  # m, by which a detour may be greater than expected, search by search
+ROUNDING = 1e-9  # share by which sums of lengths may be off
+SPARE = 0.5  # m, by which more obstacles are looked at than can be in the way
 SEEN_AROUND = 0.6  # m that a straight line of the way keeps between hull and cells
 
 
@@ -41,37 +46,113 @@ def route(
         >>> bool(way[:, 1].min() < -1.0), bool(way[:, 1].max() < 0.5)
         (True, True)
     """
-    # Imported here, since SciPy loads in half a second and only a map needs it.
-    from scipy.ndimage import distance_transform_edt
-    from scipy.sparse.csgraph import dijkstra
+    return find_route(occupied, start, goal, cell, radius)[0]
 
+
+def find_route(
+    occupied: np.ndarray,
+    start: np.ndarray,
+    goal: np.ndarray,
+    cell: float,
+    radius: float = VEHICLE.radius,
+    detour: float = 0.0,
+) -> tuple[np.ndarray | None, float]:
+    """Return the way of :func:`route` and its detour, by a search that is short where the detour is expected.
+
+    No way with a smaller detour than is tried leaves the cells from whose middles the distances to both ends add up to
+    no more than that allows. So only these are searched first, and all only where they hold no such way.
+
+    Args:
+        occupied: as in :func:`route`, as the next ones.
+        start: ``[2]`` m.
+        goal: ``[2]`` m.
+        cell: edge, m.
+        radius: of the hull, m.
+        detour: m, by which the way is expected to count more than one in free air; infinity searches all cells.
+
+    Returns:
+        The way and its detour; None and 0 where no way is left.
+    """
     ends = np.floor(np.stack([start, goal]) / cell).astype(np.int64)
     known = np.concatenate([occupied, ends])
-    low = known.min(0) - round(EDGE / cell)
-    shape = known.max(0) - low + round(EDGE / cell) + 1
-    space = np.ones(shape, bool)
-    space[tuple((occupied - low).T)] = False
-    clearance = distance_transform_edt(space) * cell if len(occupied) else np.full(shape, np.inf)
+    border = round(EDGE / cell)
+    low, high = known.min(0) - border, known.max(0) + border
+    free_air = cell * float(_steps(*np.abs(ends[0] - ends[1])))
+    for more in ROOM:
+        found = _search(occupied, ends, low, high, cell, radius, free_air + detour + more)
+        if found is not None:
+            cells, length = found
+            return np.concatenate([start[None], cell * (cells + 0.5), goal[None]]), length - free_air
+    return None, 0.0
+
+
+def _search(
+    occupied: np.ndarray, ends: np.ndarray, low: np.ndarray, high: np.ndarray, cell: float, radius: float, most: float
+) -> tuple[np.ndarray, float] | None:
+    """Return the cells ``[L, 2]`` between both ends of the quickest way, and what it counts; None for none up to most.
+
+    Args:
+        occupied: cells ``[K, 2]``.
+        ends: the cells of start and goal, ``[2, 2]``.
+        low: the first cell of the grid.
+        high: the last one.
+        cell: edge, m.
+        radius: of the hull, m.
+        most: what a way may count, m.
+    """
+    # Imported here, since SciPy loads in half a second and only a map needs it.
+    from scipy.sparse.csgraph import dijkstra
+
+    apart = np.abs(ends[0] - ends[1])
+    if bounded := math.isfinite(most):
+        beside = math.ceil((most / cell - float(_steps(*apart))) / (2 * (math.sqrt(2) - 1))) + 1
+        low, high = np.maximum(low, ends.min(0) - beside), np.minimum(high, ends.max(0) + beside)
+    shape = tuple((high - low + 1).tolist())
+    clearance = cell * _cells_to_occupied(occupied, low, shape, math.ceil(max(WIDE, radius) / cell))
     cost = 1 + 2 * ((WIDE - clearance) / (WIDE - TIGHT)).clip(0, 1)
     cost = np.where(clearance < TIGHT, SQUEEZED, cost)
     free = clearance > radius
     here, there = (tuple(end) for end in ends - low)
     free[here] = free[there] = True
+    if bounded:
+        rows, columns = (np.abs(np.arange(size)[:, None] - (ends - low)[:, axis]) for axis, size in enumerate(shape))
+        through = sum(_steps(rows[:, None, end], columns[None, :, end]) for end in (0, 1))
+        free &= through <= most / cell * (1 + ROUNDING)
 
     def weighed(one: Slices, other: Slices, apart: float) -> tuple[np.ndarray, np.ndarray]:
         return free[one] & free[other], cell * apart / 2 * (cost[one] + cost[other])
 
-    graph, index = grid_graph(free.shape, weighed)
-    apart, before = dijkstra(graph.tocsr(), directed=False, indices=index[here], return_predecessors=True)
-    at = int(index[there])
-    if not np.isfinite(apart[at]):
+    graph, index = grid_graph(shape, weighed)
+    limits = {"limit": most * (1 + ROUNDING)} if bounded else {}
+    begin, end = int(index[here]), int(index[there])
+    counts, before = dijkstra(graph, indices=begin, return_predecessors=True, **limits)
+    if math.isinf(counts[end]) or counts[end] > most:
         return None
-    way = [at]
-    while way[-1] != index[here]:
+    way = [end]
+    while way[-1] != begin:
         way.append(int(before[way[-1]]))
     between = np.array(way[-2:0:-1], np.int64)
-    middles = cell * (np.stack(np.unravel_index(between, shape), 1) + low + 0.5)
-    return np.concatenate([start[None], middles, goal[None]])
+    return np.stack(np.unravel_index(between, shape), 1) + low, float(counts[end])
+
+
+def _cells_to_occupied(occupied: np.ndarray, low: np.ndarray, shape: tuple[int, ...], beside: int) -> np.ndarray:
+    """Return how many cells each of a grid is from the nearest occupied one, right up to ``beside``, else more."""
+    from scipy.ndimage import distance_transform_edt
+
+    inside = occupied - low + beside
+    wide = np.array(shape) + 2 * beside
+    inside = inside[((inside >= 0) & (inside < wide)).all(1)]
+    if not len(inside):
+        return np.full(shape, np.inf)
+    space = np.ones(wide, bool)
+    space[inside[:, 0], inside[:, 1]] = False
+    distances: np.ndarray = distance_transform_edt(space)
+    return distances[beside:-beside, beside:-beside]
+
+
+def _steps(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return how long a way over so many rows and columns is in free air, in cells: straight and diagonal steps."""
+    return np.maximum(rows, columns) + (math.sqrt(2) - 1) * np.minimum(rows, columns)
 
 
 def waypoint(
@@ -100,9 +181,29 @@ def waypoint(
     """
     first = int(((way - place) ** 2).sum(1).argmin())
     left = way[first:]
-    free = Obstacles(obstacles, place, radius + SEEN_AROUND).free(np.broadcast_to(place, left.shape), left)
-    last = int(free.nonzero()[0].max(initial=-1))
+    last = _last_free(Obstacles(_near(obstacles, place, left, radius), place, radius + SEEN_AROUND), place, left)
     if last >= 0 and (last == len(left) - 1 or np.linalg.norm(left[last] - place) >= ahead):
         return first + last, True
     gone = np.cumsum(np.linalg.norm(np.diff(left, axis=0, prepend=place[None]), axis=1))
     return first + min(int(np.searchsorted(gone, ahead)), len(left) - 1), False
+
+
+def _near(obstacles: np.ndarray, place: np.ndarray, left: np.ndarray, radius: float) -> np.ndarray:
+    """Return those obstacles that may come near a straight line from a place to any point of a way."""
+    beside = radius + SEEN_AROUND + SPARE
+    low, high = np.minimum(left.min(0), place) - beside, np.maximum(left.max(0), place) + beside
+    (x, y), (left_end, bottom), (right_end, top) = obstacles.T, low, high
+    return obstacles.take(np.flatnonzero((x > left_end) & (x < right_end) & (y > bottom) & (y < top)), axis=0)
+
+
+def _last_free(around: Obstacles, place: np.ndarray, left: np.ndarray) -> int:
+    """Return the last point of a way to which the straight line is free; -1 for none. Most often it is near the end."""
+    end, some = len(left), 8
+    while end > 0:
+        begin = max(end - some, 0)
+        tried = left[begin:end]
+        free = np.flatnonzero(around.free(np.broadcast_to(place, tried.shape), tried))
+        if len(free):
+            return begin + int(free[-1])
+        end, some = begin, 2 * some
+    return -1

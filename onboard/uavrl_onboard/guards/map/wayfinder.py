@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Wayfinder:
         period: float = VEHICLE.period,
         sensor_position: Sequence[float] = VEHICLE.lidar_position,
     ) -> None:
-        self.reach, self.period = reach, period
+        self.sight, self.reach, self.period = sight, reach, period
         about = (sight, reach, flight_level, cell, sensor_position, period)
         self.navigators = [Navigator(*about) for _ in range(vehicles)]
         self._goals = [GoalFinder(reach) for _ in range(vehicles)]
@@ -67,12 +68,12 @@ class Wayfinder:
 
     def lead(self, seen: Situation) -> np.ndarray:
         """Return how far off the goals' directions the ways lead, ``[N]`` rad, by scans without what moves."""
-        clouds = [seen.standing(one) for one in range(len(seen.clouds))]
+        clouds = [partial(seen.standing, one, self.sight) for one in range(len(seen.clouds))]
         state = seen.velocities, seen.attitudes, seen.altitudes, seen.headings
         if seen.places is None or seen.goals is None:
-            return self.look(clouds, *state, seen.which, seen.bodies)
+            return self._lead(clouds, *state, seen.which, seen.bodies)
         rows = zip(self.navigators, clouds, seen.attitudes, seen.places, seen.goals, seen.bodies, strict=True)
-        return np.array([navigator.look(*row) for navigator, *row in rows])
+        return np.array([navigator.lead(*row) for navigator, *row in rows])
 
     def filter(self, velocities: np.ndarray, seen: Situation) -> np.ndarray:
         """Return the velocities as they are: a map changes headings."""
@@ -102,6 +103,20 @@ class Wayfinder:
             which: ``bool [N]``, which have a new scan; what is returned of the others is 0. None: all.
             bodies: of each vehicle, its moving objects, ``[M, 7]``, as :meth:`Navigator.look` takes them.
         """
+        own = [partial(np.asarray, cloud) for cloud in clouds]
+        return self._lead(own, velocities, attitudes, altitudes, headings, which, bodies)
+
+    def _lead(
+        self,
+        clouds: Sequence[Callable[[], np.ndarray]],
+        velocities: np.ndarray,
+        attitudes: np.ndarray,
+        altitudes: np.ndarray,
+        headings: np.ndarray,
+        which: np.ndarray | None = None,
+        bodies: Sequence[np.ndarray] | None = None,
+    ) -> np.ndarray:
+        """Do what :meth:`look` does, and ask for scans only where they are needed."""
         which = np.ones(len(self._begun), bool) if which is None else which
         which = which & np.isfinite(np.column_stack([velocities, attitudes, altitudes, headings])).all(1)
         flown = np.where(self._begun[:, None], self.period * (velocities + self._velocities) / 2, 0.0)
@@ -113,5 +128,5 @@ class Wayfinder:
             goal = self._goals[one].look(place, heading_vector(bearings[one]))
             at = np.append(place, altitudes[one])
             moving = None if bodies is None else bodies[one]
-            turns[one] = self.navigators[one].look(clouds[one], attitudes[one], at, goal, moving)
+            turns[one] = self.navigators[one].lead(clouds[one], attitudes[one], at, goal, moving)
         return turns

@@ -58,6 +58,14 @@ class Returns(NamedTuple):
     ranges: np.ndarray
     clouds: np.ndarray
 
+    @classmethod
+    def of_points(cls, points: np.ndarray, clouds: np.ndarray, max_range: float) -> "Returns":
+        """Return the returns among ``points [3, Q]`` of ``clouds [Q]``, as :func:`find_returns` does."""
+        points = np.asarray(points, np.float32)
+        kept = np.flatnonzero(is_return(points.T, within(max_range)))
+        x, y, z = points = points.take(kept, axis=1)
+        return cls(points, np.sqrt(x * x + y * y + z * z), clouds.take(kept))
+
     def in_cells(self, grid: Grid) -> CellIndices:
         """Which of them lie in ``grid``, and in which of all its cells, those of each cloud in turn."""
         row, column = grid.cells(self.points, self.ranges)
@@ -175,9 +183,10 @@ class EarlierScans:
         x, y, z = points
         ranges = np.sqrt(x * x + y * y + z * z)
         row, column = self.grid.cells(points, np.maximum(ranges, 1e-6))
-        rows = np.rint(row).astype(np.int64).clip(0, self.grid.rows - 1)
+        rows = np.minimum(np.maximum(np.rint(row).astype(np.int64), 0), self.grid.rows - 1)
         images = (ages - 1) * self.count + np.arange(self.count)  # each sensor's, among all
-        least = self.least.reshape(-1).take((images[clouds] * self.grid.rows + rows) * self.grid.columns + column)
+        rows += np.repeat(images * self.grid.rows, np.diff(bounds))
+        least = self.least.reshape(-1).take(rows * self.grid.columns + column)
         known = (row >= 0) & (row <= self.grid.rows - 1) & (ranges < self.max_range) & (ranges > NEAREST_RETURN)
         if not (seeing := self.ever | (self.ever.mean(1, keepdims=True) < MOST_COLUMNS)).all():
             known &= seeing[clouds, column]

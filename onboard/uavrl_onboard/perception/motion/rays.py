@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from uavrl_onboard.geometry import is_return
+from uavrl_onboard.geometry import Columns, is_return
 from uavrl_onboard.perception.cells import AZIMUTH_STEP, FAR_EVERY
 
 FIRST = -0.1875  # of a step: where a cycle begins, whose 16 lasers fire within 0.625 of a step, in the middle of it
@@ -30,18 +30,28 @@ def far_rays(points: np.ndarray) -> np.ndarray:
         >>> np.degrees(np.arctan2(far_rays(points)[:, 1], far_rays(points)[:, 0])).round(1).tolist()
         [-0.0, -1.0]
     """
-    return points[far_ray_indices(points)]
+    columns = Columns.of(points)
+    return columns.rows(far_rays_of(columns))
 
 
 def far_ray_indices(points: np.ndarray) -> np.ndarray:
     """Of points ``[P, 3]``, or the directions of a sensor's rays, the places of those that count, ``[Q]``."""
-    known = np.flatnonzero(is_return(points))
-    azimuth = np.arctan2(-points[known, 1], points[known, 0]) % (2.0 * np.pi)
-    cycle = np.floor(azimuth / AZIMUTH_STEP - FIRST).astype(np.int64)
+    return np.flatnonzero(is_return(points)).take(far_rays_of(Columns.of(points)))
+
+
+def far_rays_of(columns: Columns) -> np.ndarray:
+    """Of the returns of a scan, the places of those that count, ``[Q]``."""
+    x, y, _ = columns.points
+    azimuth = np.arctan2(-y, x)
+    azimuth += azimuth.dtype.type(2.0 * np.pi) * (azimuth < 0)  # and of -0 it makes 0
+    cycle = np.floor(azimuth / AZIMUTH_STEP - FIRST).astype(np.int32)
     sector = (cycle + FAR_EVERY // 2) // FAR_EVERY
     off = np.abs(cycle - FAR_EVERY * sector)
-    nearest = np.full(sector.max(initial=0) + 1, FAR_EVERY)
-    np.minimum.at(nearest, sector, off)
-    fine = (nearest == 0).sum() >= FINE * (nearest < FAR_EVERY).sum()
-    kept = np.flatnonzero(off == (0 if fine else nearest[sector]))
-    return np.asarray(known[kept[np.argsort(azimuth[kept], kind="stable")]])
+    kept = np.flatnonzero(off == 0)
+    count = sector.max(initial=0) + 1
+    are_hit, have_any = (np.count_nonzero(np.bincount(each, minlength=count)) for each in (sector.take(kept), sector))
+    if are_hit < FINE * have_any:
+        nearest = np.full(count, FAR_EVERY, np.int32)
+        np.minimum.at(nearest, sector, off)
+        kept = np.flatnonzero(off == nearest.take(sector))
+    return kept.take(np.argsort(azimuth.take(kept), kind="stable"))

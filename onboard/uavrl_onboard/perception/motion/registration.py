@@ -22,6 +22,7 @@ LEAST_AGREEING = 0.92  # of the points that are compared, in scans that lie on e
 MOST_TURN, MOST_SHIFT = np.radians(12.0), 0.4  # m, that the scans may correct what was expected
 STARTS = np.radians([5.0, -5.0])  # of yaw, from which it is tried again
 EXPECTED = np.array([2.0] * 3 + [200.0] * 3, np.float32)  # weight of what was expected, against one point per m²
+EXPECTED_MATRIX = np.diag(EXPECTED)
 LONGEST = (1.5, 4.0)  # m, from a point's left to its right neighbour, and from the lower to the upper, on one surface
 
 
@@ -63,7 +64,8 @@ def sample(images: np.ndarray, count: int = SAMPLES) -> Samples:
     """``count`` points of ``images [3, N, rows, columns]``, spread evenly, with normals from the cells around them."""
     middle = np.arange(0, images.shape[-1], THINNED)
     inner = images[:, :, 1:-1]
-    points, left, right = (inner[..., (middle + side) % images.shape[-1]] for side in (0, -1, 1))
+    left, right = (inner.take((middle + side) % images.shape[-1], axis=-1) for side in (-1, 1))
+    points = inner[..., ::THINNED]
     lower, upper = images[:, :, :-2, ::THINNED], images[:, :, 2:, ::THINNED]
     across, along = right - left, upper - lower
     valid = ((across**2).sum(0) < LONGEST[0] ** 2) & ((along**2).sum(0) < LONGEST[1] ** 2)
@@ -90,10 +92,13 @@ def register(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.nda
         rotations: as expected, from the sensor's axes to those of its earlier scan, ``[N, 3, 3]``.
         places: as expected, of the sensor in these axes, ``[N, 3]`` in m.
     """
-    told = _judge(samples, images, grid, rotations.astype(np.float32), places.astype(np.float32))
+    turn, place = rotations.astype(np.float32), places.astype(np.float32)
+    compared = _compare(samples, images, grid, turn, place)
+    told = _judge(samples, compared, turn, place)
     found = Alignment(*(values.copy() for values in told))
     off = np.flatnonzero(told.agreeing < 1)  # nothing can lie better than the others
-    refined = _refine(_of(samples, off), images[:, off], grid, rotations[off], places[off])
+    first = Compared(*(values[off] for values in compared))
+    refined = _refine(_of(samples, off), images[:, off], grid, rotations[off], places[off], first)
     for kept, new in zip(found, refined, strict=True):
         kept[off] = new
     for start in STARTS:  # for scans that lie farther from what was expected than one descent reaches
@@ -116,42 +121,62 @@ def _of(samples: Samples, scans: np.ndarray) -> Samples:
     return Samples(*(values[scans] for values in samples))
 
 
-def _refine(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.ndarray, expected: np.ndarray) -> Alignment:
-    """The steps from one start; the places stay near those that are ``expected``."""
+class Compared(NamedTuple):
+    """Points and normals in the earlier axes ``[N, 3, S]``, how far the surfaces there lie from them, and where known.
+
+    ``distances`` and ``known`` are ``[N, S]``.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    distances: np.ndarray
+    known: np.ndarray
+
+
+def _refine(
+    samples: Samples,
+    images: np.ndarray,
+    grid: Grid,
+    rotations: np.ndarray,
+    expected: np.ndarray,
+    first: Compared | None = None,
+) -> Alignment:
+    """The steps from one start, whose comparison may be known; the places stay near those that are ``expected``."""
     turn, place = rotations.astype(np.float32), expected.astype(np.float32)
+    compared = _compare(samples, images, grid, turn, place) if first is None else first
     for gate in GATES:
-        points, normals, distances, known = _compare(samples, images, grid, turn, place)
+        points, normals, distances, known = compared
         weights = np.where(known, np.maximum(1 - (distances / gate) ** 2, 0) ** 2, 0)
         slopes = np.concatenate([_cross(points, normals), normals], 1)
         weighted = slopes * weights[:, None]
         pull = np.concatenate([np.zeros_like(place), expected - place], 1) * EXPECTED
-        matrix = weighted @ slopes.transpose(0, 2, 1) + np.diag(EXPECTED)
+        matrix = weighted @ slopes.transpose(0, 2, 1) + EXPECTED_MATRIX
         step = np.linalg.solve(matrix, weighted @ distances[..., None] + pull[..., None])[..., 0]
         turned = rotation_by(step[:, :3]).astype(np.float32)
         turn, place = turned @ turn, ((turned @ place[..., None])[..., 0] + step[:, 3:]).astype(np.float32)
-    return _judge(samples, images, grid, turn, place)
+        compared = _compare(samples, images, grid, turn, place)
+    return _judge(samples, compared, turn, place)
 
 
-def _judge(samples: Samples, images: np.ndarray, grid: Grid, turn: np.ndarray, place: np.ndarray) -> Alignment:
+def _judge(samples: Samples, compared: Compared, turn: np.ndarray, place: np.ndarray) -> Alignment:
     """How well scans lie on the earlier ones where they are said to be."""
-    _, _, distances, known = _compare(samples, images, grid, turn, place)
-    agreeing = (known & (np.abs(distances) < AGREEING)).sum(1) / np.maximum(known.sum(1), 1)
-    return Alignment(turn, place, np.minimum(known.sum(1), samples.found), agreeing >= LEAST_AGREEING, agreeing)
+    known = compared.known
+    count = known.sum(1)
+    agreeing = (known & (np.abs(compared.distances) < AGREEING)).sum(1) / np.maximum(count, 1)
+    return Alignment(turn, place, np.minimum(count, samples.found), agreeing >= LEAST_AGREEING, agreeing)
 
 
-def _compare(
-    samples: Samples, images: np.ndarray, grid: Grid, turn: np.ndarray, place: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points and normals in the earlier axes, how far the surfaces there lie from them, and where one is known."""
+def _compare(samples: Samples, images: np.ndarray, grid: Grid, turn: np.ndarray, place: np.ndarray) -> Compared:
+    """Lay samples over the earlier scans."""
     points, normals = turn @ samples.points + place[..., None], turn @ samples.normals
     x, y, z = axes = points.transpose(1, 0, 2)
     row, column = grid.cells(axes, np.maximum(np.sqrt(x * x + y * y + z * z), 1e-6))
     rows = np.rint(row).astype(np.int64)
     known = (samples.found > 0)[:, None] & (rows >= 0) & (rows < grid.rows)
-    at = (np.arange(len(turn))[:, None] * grid.rows + rows.clip(0, grid.rows - 1)) * grid.columns + column
-    met = images.reshape(3, -1).take(at, axis=1).transpose(1, 0, 2)
+    at = (np.arange(len(turn))[:, None] * grid.rows + np.minimum(np.maximum(rows, 0), grid.rows - 1)) * grid.columns
+    met = images.reshape(3, -1).take(at + column, axis=1).transpose(1, 0, 2)
     known &= met[:, 0] != 0
-    return points, normals, (normals * (met - points)).sum(1), known
+    return Compared(points, normals, (normals * (met - points)).sum(1), known)
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from uavrl_onboard.geometry import body_to_world, yaw_rotation
+from uavrl_onboard.geometry import Columns, body_to_world, yaw_rotation
 from uavrl_onboard.perception.motion.occlusion import CellIndices, EarlierScans, Grid, Returns, find_returns
 from uavrl_onboard.perception.motion.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
 from uavrl_onboard.perception.motion.tracks import AROUND, LINK, LabelledReturns, Track, follow, nearby
@@ -101,11 +101,22 @@ class MotionSight:
             which: ``bool [N]``, which have a new scan; what the others report is not to be used. None: all.
             elapsed: since the scans before, s. None: ``period``.
         """
-        elapsed = self.period if elapsed is None else elapsed
         which = np.ones(len(self._ages), bool) if which is None else which
         seen = find_returns(
             np.where(which[:, None, None], clouds, np.nan) if not which.all() else clouds, self.max_range
         )
+        return self.look_at(seen, velocities, attitudes, which, elapsed)
+
+    def look_at(
+        self,
+        seen: Returns,
+        velocities: np.ndarray,
+        attitudes: np.ndarray,
+        which: np.ndarray,
+        elapsed: float | None = None,
+    ) -> np.ndarray:
+        """Take in the returns of another scan, of the sensors ``which`` alone, as :meth:`look` does a scan."""
+        elapsed = self.period if elapsed is None else elapsed
         cells = seen.in_cells(self._scans.grid)
         self._move(seen, cells, velocities, body_to_world(attitudes), which, elapsed)
         bounds = np.searchsorted(seen.clouds, np.arange(len(which) + 1))
@@ -214,14 +225,14 @@ class MotionSight:
                 found[one, slot] = objects[row]
         return found
 
-    def of_bodies(self, cloud: np.ndarray, sensor: int) -> np.ndarray | None:
-        """Return which points of the last scan of a sensor are of its moving bodies, ``bool [P]``; None for none.
+    def of_bodies(self, scan: Columns, sensor: int) -> np.ndarray | None:
+        """Return which returns of the last scan of a sensor are of its moving bodies, ``bool [M]``; None for none.
 
         A point around a body belongs to it if the nearest return that was looked at does: a wall beside or behind the
         body stays.
 
         Args:
-            cloud: that scan, ``[P, 3]`` in m in the sensor frame, with any number of points.
+            scan: all returns of that one.
             sensor: its number.
         """
         tracks = [track for track in self._tracks[sensor] if track.is_confirmed and len(track.body)]
@@ -230,13 +241,13 @@ class MotionSight:
         from scipy.spatial import cKDTree  # here, since SciPy loads in half a second and only moving bodies need it
 
         looked_at, rotation = self._last[sensor], self._rotations[sensor]
-        own, moving = np.zeros(len(looked_at), bool), np.zeros(len(cloud), bool)
+        own, moving = np.zeros(len(looked_at), bool), np.zeros(len(scan.squared), bool)
         for track in tracks:
             own[track.body] = True
         for track in tracks:
             reach = track.size / 2 + BESIDE
-            at = nearby(cloud, rotation.T @ (track.position - self._positions[sensor]), reach)
+            at = nearby(scan.points.T, rotation.T @ (track.position - self._positions[sensor]), reach)
             around = nearby(looked_at, track.position, reach + LINK)
-            world = cloud[at] @ rotation.T + self._positions[sensor]
+            world = scan.rows(at) @ rotation.T + self._positions[sensor]
             moving[at] |= own[around[cKDTree(looked_at[around]).query(world)[1]]]
         return moving
