@@ -14,51 +14,11 @@ from torchrl.objectives.value.functional import reward2go
 
 from uavrl.errors import UavrlError
 from uavrl.losses.crossq import JointBatches
+from uavrl.losses.functional import least_valued, project_distribution
 from uavrl.losses.sac import SACLoss
 from uavrl.losses.td3 import TD3Loss
 
 log = logging.getLogger(__name__)
-
-
-def project_distribution(probabilities: Tensor, values: Tensor, support: Tensor) -> Tensor:
-    """Move a distribution to other values: each probability goes to the two atoms around its value.
-
-    ``m_j = Σ_i p_i max(0, 1 - |clip(v_i, z_1, z_N) - z_j| / Δz)`` (Bellemare et al. 2017, arXiv 1707.06887, Eq. 7).
-    The mean stays, unless a value outside the support is clipped.
-
-    Args:
-        probabilities: p, ``[*B, M]``.
-        values: v, that these are of, ``[*B, M]``.
-        support: z, N atoms from the smallest to the largest, evenly spaced, ``[N]``.
-
-    Returns:
-        m, ``[*B, N]``.
-
-    Examples:
-        >>> half, support = torch.tensor([0.5, 0.5]), torch.tensor([0.0, 1.0, 2.0])
-        >>> project_distribution(half, torch.tensor([0.25, 7.0]), support)
-        tensor([0.3750, 0.1250, 0.5000])
-    """
-    if probabilities.shape != values.shape or support.ndim != 1 or len(support) < 2:
-        raise ValueError(
-            f"Expected probabilities and values of one shape, and two atoms or more, got {tuple(probabilities.shape)}, "
-            f"{tuple(values.shape)} and {tuple(support.shape)}."
-        )
-    values = values.clamp(support[0], support[-1])
-    distance = (values.unsqueeze(-1) - support).abs() / (support[1] - support[0])
-    return (probabilities.unsqueeze(-1) * (1 - distance).clamp_min(0)).sum(-2)
-
-
-def least_valued(probabilities: Tensor, support: Tensor) -> Tensor:
-    """Return for each sample the distribution with the smallest mean of K: ``[K, *B, N]`` to ``[*B, N]``.
-
-    Examples:
-        >>> both = torch.tensor([[[0.1, 0.9]], [[0.6, 0.4]]])
-        >>> least_valued(both, torch.tensor([-1.0, 1.0]))
-        tensor([[0.6000, 0.4000]])
-    """
-    smallest = (probabilities @ support).argmin(0)
-    return probabilities.take_along_dim(smallest[None, ..., None], 0).squeeze(0)
 
 
 class _Categorical(JointBatches):
@@ -150,9 +110,9 @@ class _Categorical(JointBatches):
     def observe(self, episodes: TensorDictBase) -> None:
         """Warn once if the discounted rewards of whole new episodes ``[T]`` lie outside the support."""
         super().observe(episodes)
-        if self._has_warned:
+        reward, done = (episodes.get(("next", key), None) for key in (self.tensor_keys.reward, self.tensor_keys.done))
+        if self._has_warned or reward is None or done is None:
             return
-        reward, done = (episodes.get(("next", key)) for key in (self.tensor_keys.reward, self.tensor_keys.done))
         returns = reward2go(reward.reshape(-1, 1), done.reshape(-1, 1), float(self.value_estimator.gamma))
         least, most = returns.min().item(), returns.max().item()
         if least < self.min_value or most > self.max_value:
