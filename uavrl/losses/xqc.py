@@ -131,7 +131,7 @@ class _Categorical(JointBatches):
 class XQCLoss(_Categorical, SACLoss):
     """SAC with critics that give a distribution of the value: batch-normalised, with weights of norm 1.
 
-    As Palenicek et al. (2026) and their code have it: two critics of :class:`~uavrl.models.CategoricalCritic`, each
+    As in the code of Palenicek et al. (2026), github.com/danielpalenicek/xqc: two critics of :class:`~uavrl.models.CategoricalCritic`, each
     evaluated once at states and next states together, as in CrossQ. Unlike CrossQ, it has target networks, which are
     also evaluated at both, with statistics of the batch. The next distribution is that of the target critic with the
     smaller mean. Reward and entropy bonus shift it, and it is projected to the support (C51, Bellemare et al. 2017).
@@ -140,7 +140,8 @@ class XQCLoss(_Categorical, SACLoss):
 
     What differs: the policy's network is as in SAC, while theirs is normalised like the critics. Rewards are not
     divided by the running standard deviation of the return. Instead, set the smallest and the largest value in the unit
-    of your rewards.
+    of your rewards. The temperature starts at 1 and the target entropy is minus the action's width; theirs are 0.01
+    (``alpha_init``) and half of that width.
 
     Args:
         actor_network: as in :class:`SACLoss`.
