@@ -131,12 +131,12 @@ class _Categorical(JointBatches):
 class XQCLoss(_Categorical, SACLoss):
     """SAC with critics that give a distribution of the value: batch-normalised, with weights of norm 1.
 
-    As in the code of Palenicek et al. (2026), github.com/danielpalenicek/xqc: two critics of :class:`~uavrl.models.CategoricalCritic`, each
-    evaluated once at states and next states together, as in CrossQ. Unlike CrossQ, it has target networks, which are
-    also evaluated at both, with statistics of the batch. The next distribution is that of the target critic with the
-    smaller mean. Reward and entropy bonus shift it, and it is projected to the support (C51, Bellemare et al. 2017).
-    The loss is the cross-entropy with it. The actor climbs the smaller of the means. After each step of the critics'
-    optimiser, the weights of each unit are scaled to norm 1.
+    As in the code of Palenicek et al. (2026), github.com/danielpalenicek/xqc: two critics of
+    :class:`~uavrl.models.CategoricalCritic`, each evaluated once at states and next states together, as in CrossQ.
+    Unlike CrossQ, it has target networks, which are also evaluated at both, with statistics of the batch. The next
+    distribution is that of the target critic with the smaller mean. Reward and entropy bonus shift it, and it is
+    projected to the support (C51, Bellemare et al. 2017). The loss is the cross-entropy with it. The actor climbs the
+    smaller of the means. After each step of the critics' optimiser, the weights of each unit are scaled to norm 1.
 
     What differs: the policy's network is as in SAC, while theirs is normalised like the critics. Rewards are not
     divided by the running standard deviation of the return. Instead, set the smallest and the largest value in the unit
