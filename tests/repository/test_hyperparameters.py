@@ -28,9 +28,11 @@ def row(table: str, key: str) -> list[str]:
         ("algo", "algo.gamma", ["`0.99`", ""]),
         ("algo", "algo.hidden", ["`[400,300]`", "`[256,256]`"]),
         ("algo", "algo.critic.hidden",
-         ["`[400,300]`; `algo=crossq`, `algo=crossq_td3`: `[512,512]`", "`[256,256]`"]),  # which says ${..hidden}
-        ("algo", "algo.policy_delay", ["`2`; `algo=crossq`, `algo=crossq_td3`: `3`; `algo=ddpg`, `algo=sac`: `1`", ""]),
-        ("algo", "algo.temperature_lr", ["`algo=crossq`: `0.001`; `algo=sac`: `0.0003`", ""]),
+         ["`[400,300]`; `algo=crossq`, `algo=crossq_td3`: `[512,512]`; `algo=xqc`, `algo=xqc_td3`: `[256,256,256,256]`",
+          "`[256,256]`"]),  # which says ${..hidden}
+        ("algo", "algo.policy_delay",
+         ["`2`; `algo=crossq`, `algo=crossq_td3`, `algo=xqc`, `algo=xqc_td3`: `3`; `algo=ddpg`, `algo=sac`: `1`", ""]),
+        ("algo", "algo.temperature_lr", ["`algo=crossq`: `0.001`; `algo=sac`, `algo=xqc`: `0.0003`", ""]),
         ("actor_terms", "fork.threshold", ["`fork=on`: `0.001`", ""]),
         ("actor_terms", "actor_penalty.weight", ["`actor_penalty=imitation`: `1.0`", "`1.0`"]),
         ("reward", "reward.arrived_reward",

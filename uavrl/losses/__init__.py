@@ -12,6 +12,7 @@ from uavrl.losses.psae import PSAELoss
 from uavrl.losses.sac import SACLoss
 from uavrl.losses.sequences import SequenceLoss
 from uavrl.losses.td3 import TD3Loss
+from uavrl.losses.xqc import XQCLoss, XQCTD3Loss
 
 __all__ = [
     "ActionRate",
@@ -28,4 +29,6 @@ __all__ = [
     "SACLoss",
     "SequenceLoss",
     "TD3Loss",
+    "XQCLoss",
+    "XQCTD3Loss",
 ]

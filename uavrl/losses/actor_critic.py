@@ -10,6 +10,8 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Bounded
 
+from uavrl.losses.critics import project_weights
+
 # At run time the class is a plain mixin. TorchRL's metaclass gives every subclass of LossModule its own forward, which
 # would hide the forward of the loss that it is mixed into.
 if TYPE_CHECKING:
@@ -141,6 +143,13 @@ class ActorCriticLoss(_LossModule):
     def states(self, batch: TensorDictBase) -> TensorDictBase:
         """Return the states ``[*B]`` of a batch in which :meth:`act` acts; here the batch itself."""
         return batch
+
+    def project_weights(self) -> None:
+        """Scale each row of the critics' unit-norm layers back to norm 1, after each step of their optimiser.
+
+        It does nothing unless the critics have layers of :class:`~uavrl.models.UnitNormLinear`.
+        """
+        project_weights(getattr(self, self.critic_name), self.critic_network_params)
 
     def move_memories(self, tau: float) -> None:
         """Move the target memories towards the memories by this share; here there are no memories."""

@@ -293,6 +293,11 @@ class ActorPenalty(ActorCriticLoss, LossModule):
         return self._inner.critic_network_params
 
     @property
+    def critic_tensors(self) -> list[Tensor]:
+        """The parameters that the critics' optimiser updates, and the buffers that their loss may change."""
+        return self._inner.critic_tensors
+
+    @property
     def alpha_params(self) -> list[Tensor]:
         """The parameters that :meth:`alpha_loss` of the base trains."""
         return self._inner.alpha_params
@@ -308,6 +313,10 @@ class ActorPenalty(ActorCriticLoss, LossModule):
     def diagnostics(self) -> dict[str, float]:
         """Return numbers to log, including those of the base."""
         return self._inner.diagnostics()
+
+    def project_weights(self) -> None:
+        """Scale each row of the unit-norm layers of the base's critics back to norm 1."""
+        self._inner.project_weights()
 
     def act(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return the states with the base's actions."""

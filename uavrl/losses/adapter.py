@@ -13,7 +13,7 @@ from torchrl.objectives import LossModule, REDQLoss
 
 from uavrl.errors import UavrlError
 from uavrl.losses.actor_critic import ActorCriticLoss
-from uavrl.losses.critics import in_mode
+from uavrl.losses.critics import in_mode, project_weights
 
 _LOG_PROB = "_log_prob"  # where the log-probability of a sampled action is kept
 _CRITICS = (
@@ -101,6 +101,15 @@ class TorchRLLoss:
     def critic_network_params(self) -> TensorDictParams:
         """The parameters that the critic's optimiser moves."""
         return getattr(self.unwrapped, f"{self.critic_name}_params")
+
+    @property
+    def critic_tensors(self) -> list[Tensor]:
+        """The parameters that the critic's optimiser moves, and the buffers beside them."""
+        return [value for value in self.critic_network_params.values(True, True) if isinstance(value, Tensor)]
+
+    def project_weights(self) -> None:
+        """As :meth:`uavrl.losses.ActorCriticLoss.project_weights`."""
+        project_weights(getattr(self.unwrapped, self.critic_name), self.critic_network_params)
 
     @property
     def alpha_params(self) -> list[Tensor]:

@@ -4,11 +4,13 @@ import copy
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 
 from uavrl.errors import UavrlError
+from uavrl.models.categorical import UnitNormLinear, unit_rows
 
 
 def several(network: TensorDictModule | Sequence[TensorDictModule], count: int) -> list[TensorDictModule]:
@@ -56,6 +58,23 @@ def is_stackable(network: nn.Module) -> bool:
     return "forward_stacked" in vars(_owner(network.module, "forward"))
 
 
+@torch.no_grad()
+def project_weights(network: nn.Module, params: TensorDictBase) -> None:
+    """Scales each row of a network's unit-norm layers to norm 1, in its parameters, which may be stacked.
+
+    Examples:
+        >>> critic = TensorDictModule(UnitNormLinear(3, 1), ["observation"], ["state_action_value"])
+        >>> params = TensorDict({"module": {"weight": torch.tensor([[0.0, 3.0, 4.0]])}}, [])
+        >>> project_weights(critic, params)
+        >>> params["module", "weight"]
+        tensor([[0.0000, 0.6000, 0.8000]])
+    """
+    for name, layer in network.named_modules():
+        if isinstance(layer, UnitNormLinear):
+            weight = params.get((*name.split("."), "weight")).data
+            weight.copy_(unit_rows(weight))
+
+
 @contextmanager
 def in_mode(network: nn.Module, *, training: bool) -> Iterator[None]:
     """Sets a network to training or evaluation, where running statistics are used and do not move, and back again."""
@@ -76,7 +95,7 @@ def _owner(instance: object, method: str) -> type:
 def stacked_values(
     network: TensorDictModule, tensordict: TensorDictBase, params: TensorDictBase, *, repeated: bool = False
 ) -> TensorDictBase:
-    """What ``vmap`` over K critics gives, without its cost: the values ``[K, *B, 1]``.
+    """What ``vmap`` over K critics gives, without its cost: the values ``[K, *B, 1]``, or more numbers than one each.
 
     Args:
         network: one that :func:`is_stackable`.
@@ -91,4 +110,4 @@ def stacked_values(
     if len(batch) != 1:  # the batched product takes one batch dimension
         inputs = [value.reshape(shape[0], batch.numel(), value.shape[-1]) for value in inputs]
     values = network.module.forward_stacked(dict(params.get("module").flatten_keys(".").items()), *inputs)
-    return TensorDict({network.out_keys[0]: values if len(batch) == 1 else values.reshape(*shape, 1)}, shape)
+    return TensorDict({network.out_keys[0]: values.reshape(*shape, values.shape[-1])}, shape)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase, TensorDictParams
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import Tensor
-from torchrl.modules.distributions.utils import sample_and_log_prob
 
 from uavrl.losses.actor_critic import ActorCriticLoss
 from uavrl.losses.critics import in_mode
 from uavrl.losses.sac import SACLoss
 from uavrl.losses.td3 import TD3Loss
+
+Evaluate = Callable[[TensorDictBase, TensorDictBase], Tensor]  # critics with these parameters, at states and actions
 
 if TYPE_CHECKING:
     _Base = ActorCriticLoss
@@ -22,11 +23,10 @@ else:
     _Base = object
 
 
-class _WithoutTargets(_Base):
+class JointBatches(_Base):
     """Evaluates critics at states and next states in one batch, so that one set of statistics normalises both."""
 
     critics_may_differ: ClassVar[bool] = False
-    has_targets: ClassVar[bool] = False
     if TYPE_CHECKING:
         training: bool
         qvalue_network: TensorDictModule
@@ -35,6 +35,27 @@ class _WithoutTargets(_Base):
         def _values(self, tensordict: TensorDictBase, params: TensorDictBase) -> Tensor:
             """Values ``[K, *B]`` of K critics."""
             raise NotImplementedError
+
+    def _in_one_batch(
+        self, evaluate: Evaluate, tensordict: TensorDictBase, following: TensorDictBase, params: TensorDictBase
+    ) -> tuple[Tensor, Tensor]:
+        """What ``evaluate`` gives at states and at next states, ``[K, *B, ...]``; in training mode, statistics move."""
+        read = self.qvalue_network.in_keys
+        both = torch.cat([tensordict.select(*read), following.select(*read)])
+        with in_mode(self.qvalue_network, training=self.training):
+            now, then = evaluate(both, params).chunk(2, 1)
+        return now, then
+
+    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
+        """The value ``[*B]`` of states and actions by constant critics and their running statistics."""
+        with in_mode(self.qvalue_network, training=False):
+            return super().action_value(acted, target=target)
+
+
+class _WithoutTargets(JointBatches):
+    """Takes the values of next states from the critics themselves."""
+
+    has_targets: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -45,18 +66,9 @@ class _WithoutTargets(_Base):
         super().__init__(actor_network, qvalue_network, delay_actor=False, delay_qvalue=False, **kwargs)
 
     def _both_values(self, tensordict: TensorDictBase, following: TensorDictBase) -> tuple[Tensor, Tensor]:
-        """Values ``[K, *B]`` at states and at next states, the latter constant; in training mode, statistics move."""
-        read = self.qvalue_network.in_keys
-        both = torch.cat([tensordict.select(*read), following.select(*read)])
-        with in_mode(self.qvalue_network, training=self.training):
-            values = self._values(both, self.qvalue_network_params)
-        value, next_value = values.chunk(2, 1)
+        """Values ``[K, *B]`` at states and at next states, the latter constant."""
+        value, next_value = self._in_one_batch(self._values, tensordict, following, self.qvalue_network_params)
         return value, next_value.detach()
-
-    def action_value(self, acted: TensorDictBase, *, target: bool = False) -> Tensor:
-        """The value ``[*B]`` of states and actions by constant critics and their running statistics."""
-        with in_mode(self.qvalue_network, training=False):
-            return super().action_value(acted, target=target)
 
 
 class CrossQLoss(_WithoutTargets, SACLoss):
@@ -89,11 +101,8 @@ class CrossQLoss(_WithoutTargets, SACLoss):
 
         The critics are evaluated once, at states and next states.
         """
-        read = (*self.actor_network.in_keys, *self.qvalue_network.in_keys)
-        with torch.no_grad(), self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
-            following = tensordict.get("next").select(*read, strict=False)
-            action, log_prob = sample_and_log_prob(self.actor_network.get_dist(following))
-        value, next_value = self._both_values(tensordict, following.set(self.tensor_keys.action, action))
+        following, log_prob = self._acted_next(tensordict)
+        value, next_value = self._both_values(tensordict, following)
         soft = next_value.amin(0) - self._alpha * log_prob
         target = self.value_estimator.value_estimate(tensordict, next_value=soft.unsqueeze(-1)).squeeze(-1)
         return self._compared(tensordict, value, target)

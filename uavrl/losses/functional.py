@@ -1,4 +1,4 @@
-"""FORK's equations as pure tensor functions (Chansuparp (2022), Eq. 2.14; Wei & Ying (2020))."""
+"""Equations as pure tensor functions: FORK's (Chansuparp (2022), Eq. 2.14; Wei & Ying (2020)), and XQC's."""
 
 import torch
 import torch.nn.functional as F
@@ -12,6 +12,8 @@ __all__ = [
     "episode_returns",
     "fork_objective",
     "fork_weight",
+    "least_valued",
+    "project_distribution",
 ]
 
 
@@ -129,3 +131,47 @@ def check_episodes(states: Tensor, rewards: Tensor, done: Tensor, *, width: int)
     for name, values in (("states", states), ("rewards", rewards)):
         if bad := int((~torch.isfinite(values)).sum()):
             raise ValueError(f"observe expected finite {name}, got {bad} values that are not: mend the world.")
+
+
+def project_distribution(probabilities: Tensor, values: Tensor, support: Tensor) -> Tensor:
+    """Move a distribution to other values: each probability goes to the two atoms around its value.
+
+    ``m_j = Σ_i p_i max(0, 1 - |clip(v_i, z_1, z_N) - z_j| / Δz)`` (Bellemare et al. 2017, arXiv 1707.06887, Eq. 7).
+    The mean stays, unless a value outside the support is clipped.
+
+    Args:
+        probabilities: p, ``[*B, M]``.
+        values: v, that these are of, ``[*B, M]``.
+        support: z, N atoms from the smallest to the largest, evenly spaced, ``[N]``.
+
+    Returns:
+        m, ``[*B, N]``.
+
+    Raises:
+        ValueError: when the shapes do not fit.
+
+    Examples:
+        >>> half, support = torch.tensor([0.5, 0.5]), torch.tensor([0.0, 1.0, 2.0])
+        >>> project_distribution(half, torch.tensor([0.25, 7.0]), support)
+        tensor([0.3750, 0.1250, 0.5000])
+    """
+    if probabilities.shape != values.shape or support.ndim != 1 or len(support) < 2:
+        raise ValueError(
+            f"Expected probabilities and values of one shape, and two atoms or more, got {tuple(probabilities.shape)}, "
+            f"{tuple(values.shape)} and {tuple(support.shape)}: reshape them to match."
+        )
+    values = values.clamp(support[0], support[-1])
+    distance = (values.unsqueeze(-1) - support).abs() / (support[1] - support[0])
+    return (probabilities.unsqueeze(-1) * (1 - distance).clamp_min(0)).sum(-2)
+
+
+def least_valued(probabilities: Tensor, support: Tensor) -> Tensor:
+    """Return for each sample the distribution with the smallest mean of K: ``[K, *B, N]`` to ``[*B, N]``.
+
+    Examples:
+        >>> both = torch.tensor([[[0.1, 0.9]], [[0.6, 0.4]]])
+        >>> least_valued(both, torch.tensor([-1.0, 1.0]))
+        tensor([[0.6000, 0.4000]])
+    """
+    smallest = (probabilities @ support).argmin(0)
+    return probabilities.take_along_dim(smallest[None, ..., None], 0).squeeze(0)

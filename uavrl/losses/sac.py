@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any, Literal
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Bounded, TensorSpec
 from torchrl.modules import ProbabilisticActor, TanhNormal
-from torchrl.modules.distributions.utils import rsample_and_log_prob
+from torchrl.modules.distributions.utils import rsample_and_log_prob, sample_and_log_prob
 from torchrl.objectives import SACLoss as _SACLoss
 from torchrl.objectives import ValueEstimators
 from torchrl.objectives.utils import distance_loss
@@ -108,6 +109,15 @@ class SACLoss(ActorCriticLoss, _SACLoss):
         """Values ``[K, *B]`` of K critics at states and actions ``[*B]``."""
         inputs = tensordict.select(*self.qvalue_network.in_keys)
         return self._vmap_qnetworkN0(inputs, params).get(self.tensor_keys.state_action_value).squeeze(-1)
+
+    @torch.no_grad()
+    def _acted_next(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, Tensor]:
+        """The next states ``[*B]`` with sampled actions, and the logarithms of their probabilities."""
+        read = (*self.actor_network.in_keys, *self.qvalue_network.in_keys)
+        following = tensordict.get("next").select(*read, strict=False)
+        with self.actor_network_params.to_module(self.actor_network, preserve_module_state=False):
+            action, log_prob = sample_and_log_prob(self.actor_network.get_dist(following))
+        return following.set(self.tensor_keys.action, action), log_prob
 
     @property
     def alpha_params(self) -> list[Tensor]:

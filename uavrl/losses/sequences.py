@@ -106,6 +106,10 @@ class SequenceLoss(ActorCriticLoss, nn.Module):
         """Return the numbers that the actor penalties log."""
         return self.loss.diagnostics()
 
+    def project_weights(self) -> None:
+        """Scale each row of the critics' unit-norm layers back to norm 1."""
+        self.loss.project_weights()
+
     def states(self, batch: TensorDictBase) -> TensorDictBase:
         """Return the transitions of windows ``[B]``, ``[B * T]``, with what the actor remembers in each."""
         taken = batch["steps"].flatten()

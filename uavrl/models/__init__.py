@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from uavrl.models.actor_critic import Actor, Critic, GaussianActor, mlp
 from uavrl.models.batch_renorm import BatchRenorm, BatchRenormCritic
+from uavrl.models.categorical import CategoricalCritic, UnitNormLinear
 from uavrl.models.collision import (
     CollisionClassifier,
     ConfusionRates,
@@ -24,6 +25,7 @@ __all__ = [
     "Actor",
     "BatchRenorm",
     "BatchRenormCritic",
+    "CategoricalCritic",
     "CollisionClassifier",
     "ConfusionRates",
     "Critic",
@@ -37,6 +39,7 @@ __all__ = [
     "RewardNet",
     "SystemNet",
     "TrajectoryClassifier",
+    "UnitNormLinear",
     "confusion_rates",
     "mlp",
 ]

@@ -149,10 +149,15 @@ def _stacked(layer: nn.Module, parameters: Mapping[str, Tensor], inputs: Tensor)
     if "forward_stacked" in vars(type(layer)):
         return layer.forward_stacked(parameters, inputs)  # type: ignore[operator]
     if type(layer) is nn.Linear and parameters.keys() == {"weight", "bias"}:
-        return _StackedLinear.apply(*_autocast(inputs, parameters["weight"], parameters["bias"]))
+        return stacked_linear(inputs, parameters["weight"], parameters["bias"])
     if parameters:
         return torch.vmap(partial(functional_call, layer))(dict(parameters), (inputs,))
     return layer(inputs)
+
+
+def stacked_linear(inputs: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Return the outputs ``[K, B, out]`` of K linear layers: ``weight [K, out, in]``, ``bias [K, out]``."""
+    return _StackedLinear.apply(*_autocast(inputs, weight, bias))
 
 
 def _autocast(*tensors: Tensor) -> tuple[Tensor, ...]:

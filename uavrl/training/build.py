@@ -19,7 +19,7 @@ from torchrl.modules import AdditiveGaussianModule
 import uavrl
 from uavrl.buffers import BackwardReward, EpisodeBuffer, MultiStep, Windows
 from uavrl.collectors.base import REQUIRED, EpisodeCollector
-from uavrl.config.build import TARGET, build, find_class, options
+from uavrl.config.build import TARGET, arguments, build, find_class, options
 from uavrl.config.context import CONTEXT, refuse_context
 from uavrl.config.parts import STEPPER, Part
 from uavrl.config.settings import TrainConfig
@@ -62,7 +62,7 @@ from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION, Demonstrator, Dem
 from uavrl.transforms.privileged import PRIVILEGED
 from uavrl.transforms.rewards import terms_of
 from uavrl_onboard.guards.settings import guard_settings
-from uavrl_onboard.sentences import require
+from uavrl_onboard.sentences import below, require
 
 VALIDATED_TOGETHER = 10  # vehicles of a validation
 
@@ -138,7 +138,10 @@ def make_loss(
     written = options(settings.algo, packages, **network_context(sizes))
     refuse_context("algo", written, CONTEXT["algo"])
     acts = actor.head if isinstance(actor, RecurrentPolicy) else actor
-    loss = loss_type.of_networks(acts, critics, sizes.action_spec(device), **written)
+    try:
+        loss = loss_type.of_networks(acts, critics, sizes.action_spec(device), **written)
+    except UavrlError as error:
+        raise UavrlError(below("algo", str(error), arguments(loss_type))) from error
     given = {"gamma": settings.algo.gamma, **network_context(sizes)}
     for part in (settings.fork, settings.lifeguard, settings.actor_penalty, settings.smoothness):
         forks = part._target_ is not None and issubclass(find_class(str(part._target_), object, packages), Fork)

@@ -96,6 +96,7 @@ class ActorCriticStepper(OptimizationStepper):
     def step(self, trainer: Trainer | None, sub_batch: TensorDictBase) -> TensorDictBase:
         """Updates on one batch, which gets the new priorities; returns detached losses and the batch's mean value."""
         value = self.critic(sub_batch)
+        self.loss.project_weights()
         if not self.loss.learns_from_sequences:  # in which a priority is that of no row
             sub_batch.set(self.loss.unwrapped.tensor_keys.priority, value.metadata["priority"])
         for model, on_update in self.models:

@@ -33,7 +33,7 @@ main()
 """
 LIGHT = {
     "train": {
-        "algo=typo": "algo must be one of crossq, crossq_td3, ddpg, sac, td3",
+        "algo=typo": "algo must be one of crossq, crossq_td3, ddpg, sac, td3, xqc, xqc_td3",
         "algo.gama=0.9": "'algo.gama'",
         "lifeguard.capacity=3": "lifeguard.capacity",
         "trainer.episodes=-1": "trainer.episodes must be at least 1, got -1",

@@ -47,6 +47,7 @@ RECURRENT = [  # clones, and then learns as CLONED does, on windows, with critic
 VALIDATED = ["validation=unseen", "validation.interval=30", "validation.tasks=2", "validation.seeds=[7]"]
 
 CROSSQ = ["algo=crossq_td3", "algo.critic.hidden=[16]", "algo.critic.warmup=20", "algo.n_steps=3"]
+XQC = ["algo=xqc", "algo.critic.hidden=[16,16]", "algo.critic.atoms=11", *SEEN]
 
 WHOLE = ["trainer.episodes=16", "logger.interval=1"]
 
@@ -123,7 +124,20 @@ def test_two_runs_are_bit_identical(tmp_path: Path, whole: Callable[[list[str]],
 @pytest.mark.parametrize(
     "overrides",
     [
-        *([], FORK_AND_LIFEGUARD, PRIORITIZED, ABR, DYNAMIC, RANDOMIZED, GUIDED, CLONED, RECURRENT, VALIDATED, CROSSQ),
+        *(
+            [],
+            FORK_AND_LIFEGUARD,
+            PRIORITIZED,
+            ABR,
+            DYNAMIC,
+            RANDOMIZED,
+            GUIDED,
+            CLONED,
+            RECURRENT,
+            VALIDATED,
+            CROSSQ,
+            XQC,
+        ),
         *(pytest.param(o, marks=pytest.mark.slow) for o in (DDPG, SAC)),
     ],
 )
