@@ -18,7 +18,10 @@ WORLD = WorldConfig(size=(14, 12), obstacles=3, min_goal_distance=4, planes=2, p
 
 def test_it_is_emitted_where_it_is_asked_for_alone() -> None:
     asked = NavigationEnv(
-        1, world=WORLD, privileged=["wind", "planes", "clearance", "way"], aerodynamics={"wind": (3, 0, 0)}
+        1,
+        world=WORLD,
+        privileged=["wind", "planes", "clearance", "way", "mapped_way"],
+        aerodynamics={"wind": (3, 0, 0)},
     )
     plain = NavigationEnv(1, world=WORLD, aerodynamics={"wind": (3, 0, 0)})
     one, other = asked.rollout(3)["next"], plain.rollout(3)["next"]
@@ -58,5 +61,5 @@ def test_far_planes_are_absent_and_near_ones_come_first() -> None:
 
 
 def test_another_quantity_is_refused() -> None:
-    with pytest.raises(UavrlError, match="privileged takes any of clearance, planes, wind, way, got sun"):
+    with pytest.raises(UavrlError, match="privileged takes any of clearance, planes, wind, way, mapped_way, got sun"):
         NavigationEnv(1, privileged=["sun"])

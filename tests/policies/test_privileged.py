@@ -1,4 +1,4 @@
-"""The controller that knows the map and the planes."""
+"""The controllers that head along a way that the environment emits."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import dataclasses
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from tensordict import TensorDict
 
 from uavrl.config import compose
 from uavrl.envs.privileged import as_moving_objects, nearest_planes
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram
-from uavrl.policies.privileged import CAUTION, HEADWAY, PrivilegedVFH
+from uavrl.policies.privileged import CAUTION, HEADWAY, MappedVFH, PrivilegedVFH
 
 COST = replace(COSTS["range_image", "proximity"], caution=CAUTION, headway=HEADWAY)
 TOLD = {"reduction": "range_image", "last_action": True}
@@ -34,12 +35,15 @@ def states(count: int, seed: int = 0) -> TensorDict:
     )
 
 
-def test_it_is_vfh_with_a_headway_where_the_way_leads_straight_to_the_goal() -> None:
+@pytest.mark.parametrize(
+    ("led", "way"), [(PrivilegedVFH(planes=False, **TOLD), "way"), (MappedVFH(**TOLD), "mapped_way")]
+)
+def test_it_is_vfh_with_a_headway_where_the_way_leads_straight_to_the_goal(led: MappedVFH, way: str) -> None:
     state = states(64)
     heading = torch.deg2rad(state["heading_deg"])
-    told = state.copy().set("way", torch.cat([heading.cos(), heading.sin()], -1)).exclude("heading_deg")
+    told = state.copy().set(way, torch.cat([heading.cos(), heading.sin()], -1)).exclude("heading_deg")
     plain = VectorFieldHistogram(costs=COST, **TOLD)(state.copy())["action"]
-    torch.testing.assert_close(PrivilegedVFH(planes=False, **TOLD)(told)["action"], plain, atol=1e-4, rtol=0)
+    torch.testing.assert_close(led(told)["action"], plain, atol=1e-4, rtol=0)
     assert plain.std(0).min() > 0.05
 
 
@@ -61,7 +65,8 @@ def test_it_evades_planes_as_vfh_evades_moving_objects() -> None:
 def test_its_costs_are_those_of_vfh_headway() -> None:
     written = compose("preset=dagger").demonstrator.costs
     assert dataclasses.asdict(COST) == dict(written)
-    assert PrivilegedVFH(**TOLD).costs == COST
+    assert PrivilegedVFH(**TOLD).costs == MappedVFH(**TOLD).costs == COST
+    assert dict(compose("preset=dagger", "demonstrator=vfh_mapped").demonstrator.costs) == dict(written)
 
 
 def test_absent_planes_are_unknown() -> None:
@@ -74,3 +79,5 @@ def test_it_names_what_it_reads() -> None:
         "faces", "altitude", "way", "observation", "planes", "velocity", "attitude",
     ]  # fmt: skip
     assert "planes" not in PrivilegedVFH(planes=False).in_keys
+    assert MappedVFH(**TOLD).in_keys == ["faces", "altitude", "mapped_way", "observation"]
+    assert "moving_objects" in MappedVFH(motion=12.0, **TOLD).in_keys

@@ -14,7 +14,7 @@ from torchrl.data import Bounded
 from tests.helpers.runs import small_config
 from uavrl.config import validate
 from uavrl.errors import UavrlError
-from uavrl.losses import TD3Loss
+from uavrl.losses import Imitation, TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import build_trainer
@@ -80,6 +80,18 @@ def test_updates_are_spread_over_the_steps_and_end_with_them() -> None:
         cloning.learn([shown(torch.randn(4, 6))] * due[-1], steps)
         assert cloning.finished == (steps >= 12)
     assert due == [0, 0, 1, 2, 0, 1, 0]
+
+
+def test_the_weight_of_imitation_decays_from_the_end_of_the_phase_on() -> None:
+    loss = Imitation(make_loss(), limit=2.0, weight=4.0, final_weight=1.0, decay_steps=10)
+    cloning = Cloning(loss, 2.0, steps=10, updates_per_step=0.4)
+    found = []
+    for steps in (5, 10, 15, 20):
+        loss.observe(shown(torch.randn(5, 6)))  # as a run shows each new episode
+        if not cloning.finished:
+            cloning.learn([shown(torch.randn(4, 6))] * cloning.due(steps), steps)
+        found.append(loss.weight.item())
+    assert found == pytest.approx([2.0, 4.0, 2.0, 1.0])
 
 
 def test_a_run_clones_first_and_then_learns_from_rewards(tmp_path: Path) -> None:

@@ -104,15 +104,18 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(overrides: list[str]
     assert "\n" not in str(caught.value)
 
 
-def test_a_demonstrator_may_read_what_the_policy_never_does() -> None:
-    told = ["demonstrator=vfh_privileged", "perception=range_image", "perception.last_action=true"]
+@pytest.mark.parametrize(
+    ("demonstrator", "read"), [("vfh_privileged", {"way", "planes"}), ("vfh_mapped", {"mapped_way"})]
+)
+def test_a_demonstrator_may_read_what_the_policy_never_does(demonstrator: str, read: set[str]) -> None:
+    told = [f"demonstrator={demonstrator}", "perception=range_image", "perception.last_action=true"]
     env = make_training_env(settings_of(*told), seed=0)
     flown = env.rollout(3, policy=env.rand_action, break_when_any_done=False)
     sizes = network_sizes(env)
-    assert {"way", "planes", "demonstrator_action"} <= set(flown["next"].keys())
+    assert {*read, "demonstrator_action"} <= set(flown["next"].keys())
     assert flown["observation"].shape[-1] == sizes.state and sizes.privileged == 0
     plain = make_training_env(settings_of(*told[1:], "demonstrator=vfh"), seed=0)
-    assert network_sizes(plain) == sizes and "way" not in plain.reset()
+    assert network_sizes(plain) == sizes and read.isdisjoint(plain.reset().keys())
     env.close(), plain.close()
 
 

@@ -17,6 +17,7 @@ from uavrl.envs.difficulty import Difficulty, measure_tasks
 from uavrl.envs.interface import checked_action, navigation_specs, quantities
 from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.limits import MaxSpeed, OrMapping, check_hull, require_speed, settings, whole
+from uavrl.envs.mapped_way import MappedWays
 from uavrl.envs.privileged import QUANTITIES, privileged
 from uavrl.envs.quadrotor import Aerodynamics, Airframe
 from uavrl.envs.randomization import Randomization, draw_vehicles, require_flyable
@@ -143,6 +144,7 @@ class NavigationEnv(EnvBase):
         self._simulation: Simulation | None = None
         self._traffic: Traffic | None = None
         self._ways: ShortestWays | None = None
+        self._mapped: MappedWays | None = None
         self._goal = np.zeros((num_uavs, 3))
         self._place_of, self._world_seed, self._task, self._steps = np.zeros((4, num_uavs), dtype=np.int64)
         self.observation_spec, self.done_spec = navigation_specs(
@@ -187,6 +189,9 @@ class NavigationEnv(EnvBase):
         if self._lidar is None and not self.blind:
             self._lidar = Lidar(meshes, mesh, self.lidar_config)
         self._ways = ShortestWays(self.world, self.num_uavs) if "way" in self.privileged else None
+        if "mapped_way" in self.privileged:
+            vehicle = self.airframe.vehicle(self.world_config.flight_level, self.max_speed)
+            self._mapped = MappedWays(self.num_uavs, vehicle, self.lidar_config.farthest)
         self._next_task = self._first
         self._stale = False
         if planes:
@@ -248,6 +253,8 @@ class NavigationEnv(EnvBase):
                 self._ways.begin(int(uav), task.place, task.goal)
             self._next_task = self._follower.get(self._next_task, self._next_task + 1)
         self._steps[index] = 0
+        if self._mapped is not None:
+            self._mapped.begin(self._rows(index))
         tasks, most = self._task[index].tolist(), most_load(self.airframe)
         drawn = None if self.randomize is None else draw_vehicles(self.randomize, self._seed, tasks, most)
         self.simulation.reset(index, starts, yaws, drawn)
@@ -272,7 +279,13 @@ class NavigationEnv(EnvBase):
         data = {"point_cloud": self._scan(index), "arrived": arrived, "collided": collided}
         data |= {"world_seed": self._world_seed, "task": self._task}
         data |= quantities(self.simulation, self._goal, clearance=self.measure_clearance)
+        if self._mapped is not None:
+            data["mapped_way"] = self._mapped.directions(data, self._rows(index))
         return data | privileged(self.privileged, self.simulation, self.traffic, self._ways)
+
+    def _rows(self, index: np.ndarray) -> np.ndarray:
+        """Which vehicles an index names, ``bool [N]``."""
+        return np.isin(np.arange(self.num_uavs), index)
 
     def _built(self, made: _Made | None) -> _Made:
         self._require_open()
@@ -352,7 +365,7 @@ class NavigationEnv(EnvBase):
         """Frees the PyBullet world, the ray-casting scene and the valleys."""
         if self._simulation is not None:
             self._simulation.close()
-        self._simulation = self._lidar = self._traffic = self._ways = None
+        self._simulation = self._lidar = self._traffic = self._ways = self._mapped = None
         for made in ("world", "_no_returns"):
             self.__dict__.pop(made, None)
 

@@ -37,17 +37,23 @@ QUANTITIES: Mapping[str, Quantity] = {
     "planes": Quantity((1.0, -1.0, 1.0) * 2 * PLANES),
     "wind": Quantity((1.0, -1.0, 1.0), STRONGEST),
     "way": Quantity((1.0, -1.0)),
+    "mapped_way": Quantity((1.0, -1.0)),
 }
 """``clearance``: m from the hull to the nearest thing, at most 5. ``planes``: of each of the three nearest within 20 m,
 its direction times ``1 - distance / 20``, and its velocity over 4 m/s; zeros for an absent one. ``wind``: m/s, without
 gusts. ``way``: the unit vector, forward and left, to the point 2 to 2.8 m ahead on the shortest path to the goal around
-static obstacles, at the flight level. The axes are forward, left and up of the vehicle, rotated by its yaw only."""
+static obstacles, at the flight level. ``mapped_way``: the unit vector, forward and left, along the quickest way through
+a map of what the LiDAR has shown in the episode, as the guard ``map`` finds it. The axes are forward, left and up of
+the vehicle, rotated by its yaw only."""
 
 
 def privileged(
     names: Collection[str], simulation: Simulation, traffic: Traffic, ways: ShortestWays | None
 ) -> dict[str, np.ndarray]:
-    """Return those of the quantities of all vehicles ``[N, ...]`` that are asked for; ``way`` needs ``ways``."""
+    """Return those of the quantities of all vehicles ``[N, ...]`` that are asked for; ``way`` needs ``ways``.
+
+    ``mapped_way`` is not among them: it takes scans (:mod:`uavrl.envs.mapped_way`).
+    """
     found: dict[str, np.ndarray] = {}
     if "clearance" in names:
         found["clearance"] = simulation.closest_distance()

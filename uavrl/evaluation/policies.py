@@ -29,6 +29,7 @@ EXPORTED = "uavrl.export.simulated.ExportedPolicy"  # A string, because its room
 BASELINES = {
     "straight": "uavrl.policies.baselines.StraightPolicy",
     "vfh": "uavrl.policies.baselines.VectorFieldHistogram",
+    "vfh_mapped": "uavrl.policies.privileged.MappedVFH",
     "vfh_privileged": "uavrl.policies.privileged.PrivilegedVFH",
     "vfh_star": "uavrl.planners.vfh_star.VFHStar",
     "mppi": "uavrl.planners.mppi.MPPI",

@@ -55,7 +55,7 @@ class Imitation(ActorPenalty):
         limit: the largest action.
         weight: weight of the distance at first; Fujimoto and Gu have 1 / α = 0.4.
         final_weight: weight after ``decay_steps``, reached geometrically; None: it stays.
-        decay_steps: environment steps that the decay takes.
+        decay_steps: environment steps that the decay takes; after a cloning phase, they count from its end.
 
     Raises:
         UavrlError: for a decay from a weight of 0.
@@ -112,6 +112,12 @@ class Imitation(ActorPenalty):
         """Lets the weight decay by the steps of whole new episodes ``[T]``."""
         super().observe(episodes)
         self.steps += len(episodes)
+        self._refresh()
+
+    @torch.no_grad()
+    def restart(self) -> None:
+        """Lets the weight begin its decay now, at the end of a phase in which the term took no part."""
+        self.steps.zero_()
         self._refresh()
 
     @torch.no_grad()

@@ -1,6 +1,7 @@
-"""A demonstrator that uses the true map and the true positions of the planes."""
+"""Demonstrators that head along a way that the environment emits, instead of towards the goal."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -21,7 +22,68 @@ from uavrl_onboard.vehicle import VEHICLE
 CAUTION, HEADWAY = 0.6, 0.7  # of vfh_headway (conf/demonstrator), where cells tell distances
 
 
-class PrivilegedVFH(VectorFieldHistogram):
+class MappedVFH(VectorFieldHistogram):
+    """A vector field histogram that heads along the quickest way through what the LiDAR has shown in the episode.
+
+    It therefore leaves dead ends once it has seen them. It is a teacher for policies with a memory: it knows nothing
+    that its own episode has not shown.
+
+    The environment emits what it reads (``mapped_way`` of :data:`uavrl.envs.privileged.QUANTITIES`).
+
+    Args:
+        flight_level: altitude to hold where nothing is in the way, within 1 m, m.
+        radius: of the reduction in m.
+        reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
+        statistic: value of a cell, likewise; None for the reduction's default.
+        costs: None for those of :class:`VectorFieldHistogram`, and a headway where cells tell distances.
+        last_action: whether the observation ends with the last action, likewise.
+        motion: how far moving objects are detected, likewise; None: it is not told of any.
+        grid: where the cells of a range image are, likewise.
+        max_speed: limit of each component of the velocity, m/s.
+        airframe: whose hull it assumes; None for the default one.
+
+    Examples:
+        A dead end lies before the goal, and the way out leads to the left:
+
+        >>> from tensordict import TensorDict
+        >>> way, altitude = torch.tensor([[0.0, 1.0]]), torch.full((1, 1), 3.5)
+        >>> state = {"faces": torch.zeros(1, 32), "altitude": altitude, "mapped_way": way}
+        >>> forward, left, up, turn = MappedVFH()(TensorDict(state, [1]))["action"][0].tolist()
+        >>> left > 1.9, turn > 0.8
+        (True, True)
+    """
+
+    way: ClassVar[str] = "mapped_way"
+
+    def __init__(
+        self,
+        flight_level: float = VEHICLE.flight_level,
+        radius: float = 4.0,
+        reduction: Reduction = "truncated_icosahedron",
+        statistic: Statistic | None = None,
+        costs: VFHWeights | None = None,
+        last_action: bool = False,
+        motion: float | None = None,
+        grid: RangeGrid | None = None,
+        max_speed: float = VEHICLE.velocity_limit,
+        airframe: OrMapping[Airframe] | None = None,
+    ) -> None:
+        told = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
+        if costs is None and told == "proximity":
+            costs = replace(COSTS[reduction, told], caution=CAUTION, headway=HEADWAY)
+        super().__init__(
+            flight_level, radius, reduction, statistic, costs, last_action, motion, grid, max_speed, airframe
+        )
+        self.in_keys = [self.way if key == "heading_deg" else key for key in self.in_keys]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes ``action`` as its base does, with the direction of the way as the heading."""
+        ahead, left = tensordict[self.way].unbind(-1)
+        led = tensordict.copy().set("heading_deg", torch.rad2deg(torch.atan2(left, ahead))[..., None])
+        return tensordict.set("action", super().forward(led)["action"])
+
+
+class PrivilegedVFH(MappedVFH):
     """A vector field histogram that heads along the shortest path to the goal on the true map.
 
     It therefore leaves dead ends. With ``planes`` it also avoids the planes by their true positions, and assumes that
@@ -53,6 +115,8 @@ class PrivilegedVFH(VectorFieldHistogram):
         (True, True)
     """
 
+    way = "way"
+
     def __init__(
         self,
         flight_level: float = VEHICLE.flight_level,
@@ -66,21 +130,11 @@ class PrivilegedVFH(VectorFieldHistogram):
         max_speed: float = VEHICLE.velocity_limit,
         airframe: OrMapping[Airframe] | None = None,
     ) -> None:
-        told = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
-        if costs is None and told == "proximity":
-            costs = replace(COSTS[reduction, told], caution=CAUTION, headway=HEADWAY)
         super().__init__(
             flight_level, radius, reduction, statistic, costs, last_action, None, grid, max_speed, airframe
         )
-        self.in_keys = ["way" if key == "heading_deg" else key for key in self.in_keys]
         self.in_keys += ["planes", "velocity", "attitude"] if planes else []
         self.evades = planes
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes ``action`` as its base does, with the direction of ``way`` as the heading."""
-        ahead, left = tensordict["way"].unbind(-1)
-        led = tensordict.copy().set("heading_deg", torch.rad2deg(torch.atan2(left, ahead))[..., None])
-        return tensordict.set("action", super().forward(led)["action"])
 
     def ways(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Where planes will be if they fly straight on, and which there are."""

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from uavrl.buffers.sequences import WEIGHT
 from uavrl.losses import ActorCriticLoss
-from uavrl.losses.imitation import action_distance, decayed
+from uavrl.losses.imitation import Imitation, action_distance, decayed
 from uavrl.training.compiled import Execution, GradientStep
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION
 from uavrl_onboard.ranges import Count, Positive
@@ -100,16 +100,19 @@ class Cloning:
         losses = [self.step(batch.select(*keys)).loss for batch in batches]
         self.updates += len(losses)
         if self.finished:
-            self._set_target()
+            self._hand_over()
         return torch.stack(losses).mean().item() if losses else None
 
-    def _set_target(self) -> None:
-        """Makes the target actor, if there is one, a copy of the actor, whose critics learn next."""
+    def _hand_over(self) -> None:
+        """Makes the target actor, if there is one, a copy of the actor; the weight of imitation begins its decay."""
         base = self.loss.unwrapped
         target = getattr(base, "target_actor_network_params", None)
         if isinstance(target, TensorDictParams):
             target.data.update_(base.actor_network_params.data)
         self.loss.move_memories(1.0)
+        for penalty in self.loss.penalties:
+            if isinstance(penalty, Imitation):
+                penalty.restart()
 
     def state_dict(self) -> dict[str, Any]:
         """Adam and the number of updates; the actor is the loss module's."""
