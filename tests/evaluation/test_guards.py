@@ -26,9 +26,10 @@ from uavrl.evaluation.environment import make_env, with_sight
 from uavrl.evaluation.policies import PACKAGED, default_guards
 from uavrl.evaluation.policy_setup import PolicySetup, choose
 from uavrl.transforms import Guarded
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.guards.settings import GuardSettings, MapSettings, guard_settings
 from uavrl_onboard.guards.shield import Shield
-from uavrl_onboard.perception.motion.sight import MotionSight
 from uavrl_onboard.policy.contract import read_contract
 
 ALL = ("map", "evasion", "shield")
@@ -108,18 +109,18 @@ def test_an_evaluation_flies_with_guards_that_know_the_vehicle_and_look_as_far(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shields, reached = set[Any](), list[float]()
-    look = MotionSight.look
+    lead = Guards.lead
 
-    def looked(sight: MotionSight, clouds: np.ndarray, *others: Any) -> np.ndarray:
-        assert sight.max_range == 9.0
-        reached.append(float(np.linalg.norm(np.nan_to_num(clouds, posinf=0.0), axis=-1).max()))
-        return look(sight, clouds, *others)
+    def led(guards: Guards, seen: Situation) -> np.ndarray:
+        assert guards._sight is not None and guards._sight.max_range == 9.0
+        reached.append(float(np.linalg.norm(np.nan_to_num(seen.clouds, posinf=0.0), axis=-1).max()))
+        return lead(guards, seen)
 
     def stands(shield: Shield, *_: object) -> np.ndarray:
         shields.add((shield.vehicle.hull, shield.margin))
         return np.zeros(3)
 
-    monkeypatch.setattr(MotionSight, "look", looked)
+    monkeypatch.setattr(Guards, "lead", led)
     monkeypatch.setattr(Shield, "__call__", stands)
     output = tmp_path / "guarded.json"
     command = [
