@@ -33,15 +33,15 @@ DECAY = ["actor_penalty.final_weight=0.2", "actor_penalty.decay_steps=400", "smo
 GUIDED = ["demonstrator=vfh", "actor_penalty=imitation", *DECAY, "algo.learning_starts=60", *SEEN]
 
 CLONED = ["cloning=dagger", "cloning.steps=120", "cloning.batch_size=16", *GUIDED]  # and TD3 after that
-RECURRENT = [  # clones, and then learns as CLONED does, on windows, with critics that know more
-    *CLONED,
+RECURRENT = [  # clones another demonstrator, then learns as CLONED does, on windows, with critics that know more
+    *(each.replace("demonstrator=vfh", "demonstrator=vfh_mapped") for each in CLONED),
     "recurrent=gru",
     "recurrent.size=8",
     "recurrent.burn_in=3",
     "recurrent.length=4",
     "perception.frames=1",
     "algo.n_steps=3",
-    "algo.critic_reads=[clearance,planes,wind]",
+    "algo.critic_reads=[clearance,planes,wind,mapped_way]",
 ]
 
 VALIDATED = ["validation=unseen", "validation.interval=30", "validation.tasks=2", "validation.seeds=[7]"]
