@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import itertools
 import json
 import re
+import runpy
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -56,6 +58,30 @@ def test_an_exported_policy_flies_by_packets_and_mavlink(said: Said, tmp_path: P
     found = json.loads(file.read_text())
     assert (found["guards"], len(found["outcomes"])) == (["map", "evasion"], 1)
     assert f"task 0: {found['outcomes']} after" in told
+
+
+def test_failures_are_named_by_their_kind(said: Said, tmp_path: Path) -> None:
+    study = runpy.run_path(str(STUDIES / "failure_kinds.py"))
+
+    def steps(xs: Sequence[float], distance: float = 9.0, in_view: Sequence[bool] = (True,)) -> list[Any]:
+        seen = itertools.cycle(in_view)
+        return [
+            study["Step"](np.array([x, 0.0, 3.0]), np.array([9.0, distance]), np.array([1, next(seen)])) for x in xs
+        ]
+
+    kind, along = study["kind"], np.arange(50) / 10
+    assert kind("timed_out", steps(along)) == "time-out, on its way"
+    assert kind("timed_out", steps(along / 2)) == "time-out, within 3 m"
+    assert kind("collided", steps(along)) == "obstacle"
+    assert kind("collided", [study["Step"](np.zeros(3), np.zeros(0), np.zeros(0, bool))]) == "obstacle"
+    assert kind("collided", steps(along, 1.2)) == "plane, in view for three scans or more"
+    hardly = [*[False] * 46, True, True, False, True]  # the last one is when they touch
+    assert kind("collided", steps(along, 1.2, hardly)) == "plane, hardly ever in view"
+
+    file = tmp_path / "found.json"
+    told = said("failure_kinds", "busy", "--guards", "none", "--episodes", 2, "--vehicles", 2, "--output", file)
+    found = json.loads(file.read_text())["rows"]["busy"]
+    assert told.splitlines()[0] == f"busy: {len(found)} failures of 2 tasks" and set(found) <= {"0", "1"}
 
 
 # ---------------------------------------------------------------------- statistics of runs

@@ -19,6 +19,7 @@ from torchrl.envs import TransformedEnv
 
 from uavrl.envs import WorldConfig
 from uavrl.evaluation.policies import PACKAGED
+from uavrl.runs.episodes import wilson
 
 ROOT = Path(__file__).parents[3]
 EXAMPLES, FIGURES = ROOT / "examples", ROOT / "docs/figures"
@@ -77,6 +78,25 @@ def test_a_scan_and_its_cells_are_drawn(tmp_path: Path) -> None:
     printed = said(FIGURES / "reduction.py", "--output", tmp_path / "reduction.png")
     assert "of 72 cells" in printed and int(printed.split()[0]) > 1000
     assert (tmp_path / "reduction.png").stat().st_size > 20_000
+
+
+def test_success_and_time_are_drawn_against_the_limit_of_speed(tmp_path: Path) -> None:
+    file, picture = tmp_path / "speed.json", tmp_path / "speed.png"
+    flights = [{"flown": 20.0, "steps": 100}, {"flown": 10.0, "steps": 50}]
+    evaluation = {"episodes": 2, "success": wilson(1, 2), "collision": wilson(1, 2), "time_out": wilson(0, 2)}
+    evaluation |= {"outcomes": "SC", "steps_per_arrival": 100.0, "flights": flights}
+    (tmp_path / "one.json").write_text(json.dumps(evaluation))
+    for name, limit in (("fast", "6"), ("fast", "2"), ("slow", "2")):
+        said(FIGURES / "speed.py", file, "--add", name, limit, tmp_path / "one.json")
+    assert json.loads(file.read_text())["slow"]["2"]["mean_speed"] == 2.0
+    assert said(FIGURES / "speed.py", file, "--table").splitlines() == [
+        "| success in % (95 % CI); time to the goal in s | 2 m/s | 6 m/s |",
+        "|---|---|---|",
+        "| fast | 50.0 (9.5–90.5); 10.0 | 50.0 (9.5–90.5); 10.0 |",
+        "| slow | 50.0 (9.5–90.5); 10.0 | – |",
+    ]
+    said(FIGURES / "speed.py", file, "--output", picture)
+    assert picture.stat().st_size > 5_000
 
 
 def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path) -> None:
