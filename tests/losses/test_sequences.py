@@ -190,6 +190,6 @@ def test_the_demonstrator_is_cloned_on_windows() -> None:
     last = cloning.learn([batch] * 150, steps=0)
     assert first is not None and last is not None
     assert cloning.learn([batch], steps=cloning.steps) < 0.3 * first  # type: ignore[operator]
-    cloning._set_target()
+    cloning._hand_over()
     for one, other in zip(loss.actor_memory.parameters(), loss.target_actor_memory.parameters(), strict=True):  # type: ignore[union-attr]
         assert torch.equal(one, other)

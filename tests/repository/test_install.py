@@ -77,7 +77,7 @@ def test_make_train_evaluates_and_shows_what_it_trained_in_valleys_that_it_never
     lines = [line for line in result.stdout.splitlines() if line.startswith(COMMANDS)]
     train, replay, evaluate = [shlex.split(re.split(r" (?:>|\|\|) ", line)[0]) for line in lines]
     assert train[1:] == ["preset=dagger", "run_dir=runs/a", *asked.split()]
-    assert evaluate[1:] == ["run=runs/a", "episodes=100"], "unseen valleys are the default"
+    assert evaluate[1:] == ["run=runs/a", "episodes=100", "processes=null"], "unseen valleys are the default"
     assert replay[1:] == ["run=runs/a", "valleys=[100]", "episodes=4", "output=runs/a/replay.html"]
     assert lines[1].endswith("& \\"), "the second core draws meanwhile"
 
