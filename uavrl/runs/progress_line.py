@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 import time
 from contextlib import ExitStack
 from typing import TextIO
@@ -14,6 +15,13 @@ with extras():
     from tqdm.contrib.logging import logging_redirect_tqdm
 
 EVERY = 10.0  # s between two lines where no bar is drawn
+
+
+class _Bar(tqdm):
+    """A bar with a lock of this process alone: tqdm's own would outlive a process that is killed, with a warning."""
+
+
+_Bar.set_lock(threading.RLock())
 
 
 class ProgressLine:
@@ -47,7 +55,7 @@ class ProgressLine:
         self._clock = command_began(self._began)
         counted = f"{verb} {unit} {{n:,}}/{{total:,}}" if verb else f"{{n:,}}/{{total:,}} {unit}"
         self._redirected = ExitStack()
-        self._bar = tqdm(
+        self._bar = _Bar(
             total=total,
             initial=done,
             disable=not terminal,
