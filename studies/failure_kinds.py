@@ -2,10 +2,10 @@
 
     python studies/failure_kinds.py busy dynamic denser traps --episodes 100 --output failures.json
 
-Among planes, a collision is with one of them if its middle is within 1.3 m of the vehicle's at the end. Such a plane
-was in view in a scan if its middle was within the LiDAR's 15° up and down, and the angle under which half of its height
-appears. A time-out is told by how far the vehicle came about in its last ten seconds. The tasks are the first ones of
-the suite's row, but planes move with the steps of all vehicles, so that other flights meet other planes.
+Among planes, a collision counts as one with a plane if the middles of both are within 1.3 m at the end. A plane was in
+view in a scan if some of its height was between 15° below and 15° above the LiDAR's horizontal plane, whatever stood in
+between. Time-outs are divided by how far the vehicle moved in its last ten seconds. The tasks are the first ones of the
+suite's row, but planes move with the steps of all vehicles, so that other flights meet other planes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from uavrl_onboard.cli.process import one_sentence
 
 SEED = 20_000  # of evaluations
 TOUCH = 1.3  # m between the middles of a vehicle and a plane
-HALF_HEIGHT = 0.2  # m of a plane
 VIEW = np.radians(15)  # of the VLP-16
 LATELY = 20  # steps before a collision
 SCANS = 3  # after which the sight of motion calls an object moving
@@ -53,7 +52,8 @@ def look(env: NavigationEnv, vehicle: int) -> Step:
     seen = ways @ simulation.rotation[vehicle]  # in body axes
     distances = np.linalg.norm(ways, axis=-1)
     elevation = np.abs(np.arctan2(seen[:, 2], np.linalg.norm(seen[:, :2], axis=-1)))
-    return Step(simulation.position[vehicle].copy(), distances, elevation <= VIEW + np.arctan2(HALF_HEIGHT, distances))
+    height = np.abs(env.plane_mesh.vertices[:, 2]).max()  # m above and below a plane's middle
+    return Step(simulation.position[vehicle].copy(), distances, elevation <= VIEW + np.arctan2(height, distances))
 
 
 def kind(ending: str, steps: Sequence[Step]) -> str:

@@ -70,8 +70,9 @@ def chosen_policy(settings: EvaluateConfig, config: DictConfig, overrides: list[
 def worlds_of(chosen: PolicySetup) -> dict[str, Any]:
     """What a result says of the worlds in which a policy flies."""
     told: dict[str, Any] = {"env": chosen.choices.get("env", "")}
-    if "world" in chosen.env and chosen.env.world.VARIES:
-        told |= {"valleys": list(chosen.env.world.seeds), "planes": chosen.env.world.planes}
+    if (world := chosen.env.get("world")) is not None:
+        told |= {"valleys": list(world.seeds)} if world.VARIES else {}
+        told["planes"] = world.planes
     return told
 
 

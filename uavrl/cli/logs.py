@@ -14,5 +14,5 @@ def configure_logging() -> None:
     logging.getLogger("torch").setLevel(logging.WARNING)  # if it is interrupted while it loads, it tells of its caches
     logging.getLogger("torch.utils.cpp_extension").setLevel(logging.ERROR)  # a CUDA compiler without a GPU is no news
     for name in logging.root.manager.loggerDict:
-        if name.startswith("uavrl"):
-            logging.getLogger(name).disabled = False  # Hydra silences those of an earlier run of the sweep
+        if name.startswith(("uavrl", "__main__")):  # a module that python -m runs is __main__
+            logging.getLogger(name).disabled = False  # Hydra silences those that are there before it

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -174,6 +175,9 @@ class VectorFieldHistogram(PolicyModule):
         [[2.0, 0.0, 0.0, 0.0]]
     """
 
+    heading_key: ClassVar[str] = "heading_deg"
+    """What it reads to head for the goal."""
+
     def __init__(
         self,
         flight_level: float = VEHICLE.flight_level,
@@ -188,20 +192,20 @@ class VectorFieldHistogram(PolicyModule):
         airframe: OrMapping[Airframe] | None = None,
     ) -> None:
         statistic = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
-        if costs is None and (reduction, statistic) not in COSTS:
+        costs = self.default_costs(reduction, statistic) if costs is None else costs
+        if costs is None:
             seen = " or ".join(" with ".join(pair) for pair in COSTS)
             raise UavrlError(
                 f"vfh has costs for {seen}, and none for {reduction} with {statistic}: set perception.reduction and "
                 "perception.statistic so, or give a demonstrator its demonstrator.costs."
             )
-        costs = COSTS[reduction, statistic] if costs is None else costs
         if costs.headway and statistic != "proximity":
             raise UavrlError(
                 f"costs.headway reads distances from cells of statistic=proximity, and these are of {statistic}: set "
                 "perception.statistic=proximity, or leave costs out."
             )
         super().__init__()
-        self.in_keys = ["faces", "altitude", "heading_deg", *(["observation"] if last_action else [])]
+        self.in_keys = ["faces", "altitude", self.heading_key, *(["observation"] if last_action else [])]
         self.in_keys += ["moving_objects", "velocity", "attitude"] if motion is not None else []
         self.out_keys = ["action"]
         self.evades = motion is not None
@@ -224,6 +228,11 @@ class VectorFieldHistogram(PolicyModule):
         self._ahead: Tensor  # [D, cells]: 1 for the cells around a direction, and next to 0
         ahead = (DIRECTIONS @ cell_directions(reduction, grid).T > AHEAD).float().clamp_min(1e-3)
         self.register_buffer("_ahead", ahead, persistent=False)
+
+    @staticmethod
+    def default_costs(reduction: Reduction, statistic: Statistic) -> VFHWeights | None:
+        """Return the costs that were chosen for a reduction and statistic; None if there are none."""
+        return COSTS.get((reduction, statistic))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``faces``, ``heading_deg`` and ``altitude``, and the ``observation``'s last action."""

@@ -10,10 +10,9 @@ from torch import Tensor
 from uavrl.envs.limits import OrMapping
 from uavrl.envs.privileged import as_moving_objects
 from uavrl.envs.quadrotor import Airframe
-from uavrl.policies.baselines import COSTS, VectorFieldHistogram, VFHWeights
+from uavrl.policies.baselines import VectorFieldHistogram, VFHWeights
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.reduction import Statistic
-from uavrl.transforms.state import REDUCTIONS
 from uavrl_onboard.perception.cells import RangeGrid
 from uavrl_onboard.perception.motion.threats import straight_on
 from uavrl_onboard.perception.reductions import Reduction
@@ -30,17 +29,8 @@ class MappedVFH(VectorFieldHistogram):
 
     The environment emits what it reads (``mapped_way`` of :data:`uavrl.envs.privileged.QUANTITIES`).
 
-    Args:
-        flight_level: altitude to hold where nothing is in the way, within 1 m, m.
-        radius: of the reduction in m.
-        reduction: which cells it sees, as in :class:`uavrl.transforms.NavigationState`.
-        statistic: value of a cell, likewise; None for the reduction's default.
-        costs: None for those of :class:`VectorFieldHistogram`, and a headway where cells tell distances.
-        last_action: whether the observation ends with the last action, likewise.
-        motion: how far moving objects are detected, likewise; None: it is not told of any.
-        grid: where the cells of a range image are, likewise.
-        max_speed: limit of each component of the velocity, m/s.
-        airframe: whose hull it assumes; None for the default one.
+    Its arguments are those of :class:`VectorFieldHistogram`. Where cells tell distances, its default costs have a
+    headway.
 
     Examples:
         A dead end lies before the goal, and the way out leads to the left:
@@ -53,32 +43,19 @@ class MappedVFH(VectorFieldHistogram):
         (True, True)
     """
 
-    way: ClassVar[str] = "mapped_way"
+    heading_key: ClassVar[str] = "mapped_way"
 
-    def __init__(
-        self,
-        flight_level: float = VEHICLE.flight_level,
-        radius: float = 4.0,
-        reduction: Reduction = "truncated_icosahedron",
-        statistic: Statistic | None = None,
-        costs: VFHWeights | None = None,
-        last_action: bool = False,
-        motion: float | None = None,
-        grid: RangeGrid | None = None,
-        max_speed: float = VEHICLE.velocity_limit,
-        airframe: OrMapping[Airframe] | None = None,
-    ) -> None:
-        told = REDUCTIONS[reduction].default_statistic if statistic is None else statistic
-        if costs is None and told == "proximity":
-            costs = replace(COSTS[reduction, told], caution=CAUTION, headway=HEADWAY)
-        super().__init__(
-            flight_level, radius, reduction, statistic, costs, last_action, motion, grid, max_speed, airframe
-        )
-        self.in_keys = [self.way if key == "heading_deg" else key for key in self.in_keys]
+    @staticmethod
+    def default_costs(reduction: Reduction, statistic: Statistic) -> VFHWeights | None:
+        """Return those of its base, with a headway where cells tell distances."""
+        costs = VectorFieldHistogram.default_costs(reduction, statistic)
+        if costs is None or statistic != "proximity":
+            return costs
+        return replace(costs, caution=CAUTION, headway=HEADWAY)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` as its base does, with the direction of the way as the heading."""
-        ahead, left = tensordict[self.way].unbind(-1)
+        ahead, left = tensordict[self.heading_key].unbind(-1)
         led = tensordict.copy().set("heading_deg", torch.rad2deg(torch.atan2(left, ahead))[..., None])
         return tensordict.set("action", super().forward(led)["action"])
 
@@ -115,7 +92,7 @@ class PrivilegedVFH(MappedVFH):
         (True, True)
     """
 
-    way = "way"
+    heading_key = "way"
 
     def __init__(
         self,

@@ -8,6 +8,7 @@ import pytest
 from uavrl_onboard.geometry import body_to_world
 from uavrl_onboard.guards.map import Wayfinder
 from uavrl_onboard.guards.map.navigator import EVERY
+from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.vehicle import VEHICLE
 
 ALTITUDE = 3.5
@@ -27,9 +28,13 @@ def scanned(points: np.ndarray, place: np.ndarray, attitude: np.ndarray) -> np.n
     return ((points - place - VEHICLE.lidar_above * rotation[:, 2]) @ rotation)[None]
 
 
+def look(finder: Wayfinder, clouds: np.ndarray, *state: np.ndarray, which: np.ndarray | None = None) -> np.ndarray:
+    return finder.lead(Situation(clouds, *state, which=which))
+
+
 def looked(finder: Wayfinder, points: np.ndarray, heading: float = 0.0, attitude: np.ndarray = STILL[0]) -> float:
     cloud = scanned(points, np.zeros(3), attitude)
-    return float(finder.look(cloud, STILL, attitude[None], np.array([ALTITUDE]), np.array([heading]))[0])
+    return float(look(finder, cloud, STILL, attitude[None], np.array([ALTITUDE]), np.array([heading]))[0])
 
 
 def test_where_nothing_is_known_it_leads_straight_on() -> None:
@@ -37,7 +42,7 @@ def test_where_nothing_is_known_it_leads_straight_on() -> None:
     for nothing in (np.nan, np.inf, 0.0):
         cloud = np.full((1, 40, 3), nothing)
         for _ in range(EVERY + 1):
-            assert finder.look(cloud, STILL, STILL, np.array([ALTITUDE]), np.array([2.0]))[0] == 0.0
+            assert look(finder, cloud, STILL, STILL, np.array([ALTITUDE]), np.array([2.0]))[0] == 0.0
 
 
 @pytest.mark.parametrize(("left", "right", "sign"), [(3.0, -1.0, -1), (1.0, -3.0, 1)])
@@ -59,7 +64,7 @@ def test_the_sensor_is_where_it_is_told_to_be(height: float, stands: bool) -> No
     """Points in the sensor's plane: at the flight level, or over it."""
     cloud = (wall((2.0, 3.0), (2.0, -1.0)) * [1.0, 1.0, 0.0])[None]
     finder = Wayfinder(1, sensor_position=(0.0, 0.0, height))
-    turn = float(finder.look(cloud, STILL, STILL, np.array([ALTITUDE]), np.zeros(1))[0])
+    turn = float(look(finder, cloud, STILL, STILL, np.array([ALTITUDE]), np.zeros(1))[0])
     assert (turn != 0.0) is stands
 
 
@@ -79,14 +84,14 @@ def test_each_vehicle_has_a_map_of_its_own_and_a_reset_forgets_no_other() -> Non
     ahead, nothing = scanned(wall((2.0, 3.0), (2.0, -1.0)), np.zeros(3), STILL[0])[0], np.full((300, 3), np.nan)
     told = (np.zeros((2, 3)), np.zeros((2, 3)), np.full(2, ALTITUDE), np.zeros(2))
     finder = Wayfinder(2)
-    first = finder.look(np.stack([ahead, nothing]), *told)
+    first = look(finder, np.stack([ahead, nothing]), *told)
     assert first[0] < 0 and first[1] == 0
-    remembered = finder.look(np.stack([nothing, nothing]), *told)
+    remembered = look(finder, np.stack([nothing, nothing]), *told)
     assert remembered[0] == pytest.approx(first[0], abs=0.05)
     finder.reset(np.array([False, True]))
-    assert finder.look(np.stack([nothing, nothing]), *told)[0] == pytest.approx(first[0], abs=0.05)
+    assert look(finder, np.stack([nothing, nothing]), *told)[0] == pytest.approx(first[0], abs=0.05)
     finder.reset(np.array([True, False]))
-    assert finder.look(np.stack([nothing, nothing]), *told, which=np.array([True, False])).tolist() == [0.0, 0.0]
+    assert look(finder, np.stack([nothing, nothing]), *told, which=np.array([True, False])).tolist() == [0.0, 0.0]
 
 
 def test_its_place_is_its_velocity_integrated() -> None:
@@ -95,7 +100,7 @@ def test_its_place_is_its_velocity_integrated() -> None:
     velocity = np.array([[2.0, 0.0, 0.0]])
     for step in range(16):
         cloud = scanned(points, np.zeros(3), STILL[0]) if step == 0 else np.full((1, 300, 3), np.nan)
-        turn = finder.look(cloud, velocity, STILL, np.array([ALTITUDE]), np.zeros(1))[0]
+        turn = look(finder, cloud, velocity, STILL, np.array([ALTITUDE]), np.zeros(1))[0]
     at_once = looked(Wayfinder(1), wall((2.0, 3.0), (2.0, -1.0)))
     assert turn == pytest.approx(at_once, abs=0.15)
 
@@ -111,7 +116,7 @@ def test_led_by_it_a_vehicle_that_avoids_nothing_gets_out_of_a_dead_end() -> Non
         near = np.where((apart < 4.0)[:, None], points, np.nan)
         bearing = np.arctan2(*(goal - place[:2])[::-1])
         told = (velocity[None], attitude[None], np.array([ALTITUDE]), np.array([bearing - yaw]))
-        turn = finder.look(scanned(near, place, attitude), *told)[0]
+        turn = look(finder, scanned(near, place, attitude), *told)[0]
         course = bearing + turn
         velocity = velocity + 0.5 * (1.5 * np.array([np.cos(course), np.sin(course), 0.0]) - velocity)
         yaw += 0.3 * ((course - yaw + np.pi) % (2 * np.pi) - np.pi)
@@ -132,9 +137,9 @@ def test_one_that_does_not_know_itself_turns_nowhere_and_goes_on_afterwards(brok
     finder, whole = Wayfinder(1), [STILL, STILL, np.array([ALTITUDE]), np.zeros(1)]
     torn = [value * np.nan if place == broken else value for place, value in enumerate(whole)]
     for told in (torn, whole, torn):
-        turn = finder.look(cloud, *told)[0]
+        turn = look(finder, cloud, *told)[0]
         assert (turn == 0) == (told is torn)
     for _ in range(EVERY + 1):
-        assert finder.look(cloud, *whole)[0] < 0
+        assert look(finder, cloud, *whole)[0] < 0
     finder.reset(np.array([True]))
-    assert finder.look(cloud, *whole)[0] < 0
+    assert look(finder, cloud, *whole)[0] < 0

@@ -37,7 +37,7 @@ class Wayfinder:
         >>> wall = np.stack(np.broadcast_arrays(2.0, side, -0.1), -1)[None]
         >>> finder = Wayfinder(1)
         >>> still, altitude, ahead = np.zeros((1, 3)), np.array([3.5]), np.zeros(1)
-        >>> turn = finder.look(wall, still, still, altitude, ahead)
+        >>> turn = finder.lead(Situation(wall, still, still, altitude, ahead))
         >>> bool(-1.2 < turn[0] < -0.4)
         True
     """
@@ -67,11 +67,15 @@ class Wayfinder:
         self._begun[which], self._places[which] = False, 0.0
 
     def lead(self, seen: Situation) -> np.ndarray:
-        """Return how far off the goals' directions the ways lead, ``[N]`` rad, by scans without what moves."""
+        """Take in scans without what moves; return how far off the goals' directions the ways lead, ``[N]`` rad.
+
+        It is 0 where the way leads straight on to the goal, where the map leaves none, for a vehicle without a new
+        scan, and for one whose pose or velocity is not finite: it has not looked then, and its place stays where it
+        was.
+        """
         clouds = [partial(seen.standing, one, self.sight) for one in range(len(seen.clouds))]
-        state = seen.velocities, seen.attitudes, seen.altitudes, seen.headings
         if seen.places is None or seen.goals is None:
-            return self._lead(clouds, *state, seen.which, seen.bodies)
+            return self._find(seen, clouds)
         rows = zip(self.navigators, clouds, seen.attitudes, seen.places, seen.goals, seen.bodies, strict=True)
         return np.array([navigator.lead(*row) for navigator, *row in rows])
 
@@ -79,54 +83,18 @@ class Wayfinder:
         """Return the velocities as they are: a map changes headings."""
         return velocities
 
-    def look(
-        self,
-        clouds: Sequence[np.ndarray] | np.ndarray,
-        velocities: np.ndarray,
-        attitudes: np.ndarray,
-        altitudes: np.ndarray,
-        headings: np.ndarray,
-        which: np.ndarray | None = None,
-        bodies: Sequence[np.ndarray] | None = None,
-    ) -> np.ndarray:
-        """Takes in another scan and returns how far off the goal's direction the way leads: ``[N]`` rad, left positive.
-
-        It is 0 where the way leads straight on to the goal, where the map leaves none, and for a vehicle whose pose or
-        velocity is not finite: it has not looked then, and its place stays where it was.
-
-        Args:
-            clouds: N of ``[P, 3]`` in m in the sensor frame; NaN, inf or zeros where a ray hit nothing.
-            velocities: ``[N, 3]``, of the vehicles in world axes in m/s.
-            attitudes: ``[N, 3]``, their roll, pitch and yaw in rad.
-            altitudes: ``[N]``, m.
-            headings: ``[N]``, from each vehicle's head to its goal, left positive, rad.
-            which: ``bool [N]``, which have a new scan; what is returned of the others is 0. None: all.
-            bodies: of each vehicle, its moving objects, ``[M, 7]``, as :meth:`Navigator.look` takes them.
-        """
-        own = [partial(np.asarray, cloud) for cloud in clouds]
-        return self._lead(own, velocities, attitudes, altitudes, headings, which, bodies)
-
-    def _lead(
-        self,
-        clouds: Sequence[Callable[[], np.ndarray]],
-        velocities: np.ndarray,
-        attitudes: np.ndarray,
-        altitudes: np.ndarray,
-        headings: np.ndarray,
-        which: np.ndarray | None = None,
-        bodies: Sequence[np.ndarray] | None = None,
-    ) -> np.ndarray:
-        """Do what :meth:`look` does, and ask for scans only where they are needed."""
-        which = np.ones(len(self._begun), bool) if which is None else which
-        which = which & np.isfinite(np.column_stack([velocities, attitudes, altitudes, headings])).all(1)
-        flown = np.where(self._begun[:, None], self.period * (velocities + self._velocities) / 2, 0.0)
+    def _find(self, seen: Situation, clouds: Sequence[Callable[[], np.ndarray]]) -> np.ndarray:
+        """The turns ``[N]`` in rad where places and goals are found out; scans are asked for only where needed."""
+        which = np.ones(len(self._begun), bool) if seen.which is None else seen.which
+        state = np.column_stack([seen.velocities, seen.attitudes, seen.altitudes, seen.headings])
+        which = which & np.isfinite(state).all(1)
+        flown = np.where(self._begun[:, None], self.period * (seen.velocities + self._velocities) / 2, 0.0)
         self._places[which] += flown[which]
-        self._velocities[which], self._begun[which] = velocities[which], True
-        turns, bearings = np.zeros(len(which)), attitudes[:, 2] + headings
+        self._velocities[which], self._begun[which] = seen.velocities[which], True
+        turns, bearings = np.zeros(len(which)), seen.attitudes[:, 2] + seen.headings
         for one in np.flatnonzero(which).tolist():
             place = self._places[one, :2]
             goal = self._goals[one].look(place, heading_vector(bearings[one]))
-            at = np.append(place, altitudes[one])
-            moving = None if bodies is None else bodies[one]
-            turns[one] = self.navigators[one].lead(clouds[one], attitudes[one], at, goal, moving)
+            at = np.append(place, seen.altitudes[one])
+            turns[one] = self.navigators[one].lead(clouds[one], seen.attitudes[one], at, goal, seen.bodies[one])
         return turns
