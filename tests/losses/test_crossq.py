@@ -8,7 +8,6 @@ from typing import ClassVar
 
 import pytest
 import torch
-from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.modules import BatchRenorm1d
@@ -16,30 +15,17 @@ from torchrl.objectives import CrossQLoss as TorchRLCrossQLoss
 from torchrl.objectives import SoftUpdate
 
 from tests.helpers.contracts import ActorCriticLossContract
-from tests.helpers.losses import SPEC, actor, fork, stochastic_actor
+from tests.helpers.losses import SPEC, fork, stochastic_actor
+from tests.helpers.normalised_losses import KEYS, batch, crossq, crossq_td3, renormalised, statistics
 from tests.helpers.runs import small_config
-from tests.helpers.torchrl_losses import PENALTIES, activated
+from tests.helpers.torchrl_losses import activated
 from uavrl.config import validate
 from uavrl.errors import UavrlError
-from uavrl.losses import ActorCriticLoss, CrossQLoss, CrossQTD3Loss
+from uavrl.losses import CrossQLoss, CrossQTD3Loss
 from uavrl.models import BatchRenorm, BatchRenormCritic
 from uavrl.training.build import build_trainer
-from uavrl.training.run import create_run, train
+from uavrl.training.run import create_run
 from uavrl.training.update import ActorCriticStepper
-
-KEYS = ["observation", "action"], ["state_action_value"]
-
-
-def critics(warmup: int = 10_000) -> list[TensorDictModule]:
-    return [TensorDictModule(BatchRenormCritic(6, 2, (8,), warmup=warmup), *KEYS) for _ in range(2)]
-
-
-def crossq(warmup: int = 10_000, **options: object) -> CrossQLoss:
-    return CrossQLoss(stochastic_actor(), critics(warmup), action_spec=SPEC, **options)
-
-
-def crossq_td3(warmup: int = 10_000, **options: object) -> CrossQTD3Loss:
-    return CrossQTD3Loss(actor(), critics(warmup), action_spec=SPEC, **options)
 
 
 class _Contract(ActorCriticLossContract):
@@ -53,18 +39,6 @@ class _Contract(ActorCriticLossContract):
         ]
         with pytest.raises((ValueError, RuntimeError, KeyError, AttributeError)):
             SoftUpdate(loss, tau=0.25).step()
-
-    def test_forward_gives_each_loss(self) -> None:
-        """From a tensordict and from keyword arguments, by two copies: a call moves the statistics."""
-        loss, data = self.make_loss(), self.make_data()
-        other = copy.deepcopy(loss)
-        torch.manual_seed(1)
-        values = loss(**self.arguments(data))
-        torch.manual_seed(1)
-        losses = other(data)
-        for key, value in zip(loss.out_keys, values, strict=True):
-            torch.testing.assert_close(value, losses[key])
-        assert {"loss_actor", "loss_qvalue"} <= set(losses.keys())
 
     def test_parameters_are_drawn_anew_by_each_network(self) -> None:
         """Those of linear layers; normalisations begin again."""
@@ -92,14 +66,6 @@ class TestCrossQ(_Contract):
 class TestCrossQTD3(_Contract):
     def make_loss(self, **options: object) -> CrossQTD3Loss:
         return crossq_td3(**options)
-
-
-def batch(size: int = 12) -> TensorDict:
-    return TestCrossQ().make_data(size=size)
-
-
-def statistics(loss: ActorCriticLoss) -> list[Tensor]:
-    return [each.clone() for each in loss.unwrapped.critic_tensors if not each.requires_grad]
 
 
 # ---------------------------------------------------------------------- the normalisation
@@ -143,7 +109,7 @@ def test_before_its_warm_up_it_is_batch_normalisation_and_then_it_is_bounded() -
 def test_stacked_critics_are_those_one_by_one_and_so_are_their_statistics() -> None:
     torch.manual_seed(0)
     loss = crossq_td3(warmup=1)
-    alone = [critic.module for critic in copy.deepcopy(critics(warmup=1))]
+    alone = [critic.module for critic in copy.deepcopy(renormalised(warmup=1))]
     for index, one in enumerate(alone):
         stored = loss.qvalue_network_params[index]["module"].flatten_keys(".")
         one.load_state_dict({key: value.detach().clone() for key, value in stored.items()})
@@ -183,7 +149,7 @@ class TheirCritic(nn.Module):
 def test_crossq_is_torchrls_crossq(steps: int | None) -> None:
     """Losses, errors, gradients and running statistics on the same batches, before and after the warm-up."""
     torch.manual_seed(0)
-    policy, made = stochastic_actor(), critics(warmup=2)
+    policy, made = stochastic_actor(), renormalised(warmup=2)
     for critic in made:
         for layer in critic.module.net:
             if isinstance(layer, BatchRenorm):
@@ -285,22 +251,6 @@ def test_the_actor_climbs_the_running_statistics_and_leaves_them(make: type) -> 
     assert not all(torch.equal(one, other) for one, other in zip(statistics(loss), before, strict=True))
 
 
-@pytest.mark.parametrize("make", [crossq, crossq_td3])
-@pytest.mark.parametrize("name", PENALTIES)
-def test_penalties_attach_and_leave_the_statistics(make: type, name: str) -> None:
-    torch.manual_seed(0)
-    loss, data = activated(PENALTIES[name](make())), batch()
-    data["next", "collided"] = data["next", "terminated"].clone()
-    data["demonstrator_action"] = data["action"].flip(-1)
-    loss.value_loss(data)
-    before = statistics(loss)
-    torch.manual_seed(1)
-    with_term = loss.actor_loss(data)[0]
-    torch.manual_seed(1)
-    assert not torch.equal(with_term, loss.base.actor_loss(data)[0])
-    torch.testing.assert_close(statistics(loss), before, atol=0, rtol=0)
-
-
 def test_fork_looks_ahead_without_targets() -> None:
     loss = activated(fork(crossq_td3()))
     assert loss.actor_loss(batch())[0].isfinite()
@@ -310,16 +260,6 @@ def test_fork_looks_ahead_without_targets() -> None:
 
 
 SMALL_CRITIC = ["algo.critic.hidden=[16]", "algo.critic.warmup=20"]
-
-
-@pytest.mark.parametrize("algo", ["crossq", "crossq_td3"])
-def test_a_run_with_all_the_rest(algo: str, tmp_path: Path) -> None:
-    """n-step targets, mirrored samples, a backward reward and priorities."""
-    seen = ["perception=range_image", "perception.last_action=true", "buffer=prioritized", "buffer.mirror=true"]
-    more = ["algo.n_steps=3", "backward_reward=abr", "trainer.episodes=8", *SMALL_CRITIC]
-    config = small_config(tmp_path / "run", f"algo={algo}", *seen, *more)
-    summary = train(config, create_run(config))
-    assert summary["updates"] > 20
 
 
 def test_a_layer_norm_that_the_critics_do_not_have_is_refused(tmp_path: Path) -> None:

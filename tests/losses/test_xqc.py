@@ -18,30 +18,17 @@ from torchrl.objectives import SoftUpdate
 
 from tests.helpers.contracts import ActorCriticLossContract
 from tests.helpers.losses import SPEC, actor, critics, stochastic_actor, td3
+from tests.helpers.normalised_losses import KEYS, batch, categorical, statistics, xqc, xqc_td3
 from tests.helpers.runs import small_config
-from tests.helpers.torchrl_losses import PENALTIES, activated
-from tests.losses.test_crossq import KEYS
+from tests.helpers.torchrl_losses import PENALTIES
 from uavrl.config import validate
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss, TD3Loss, XQCLoss, XQCTD3Loss
 from uavrl.losses.functional import least_valued, project_distribution
 from uavrl.models import BatchRenorm, CategoricalCritic, UnitNormLinear
 from uavrl.training.build import build_trainer
-from uavrl.training.run import create_run, train
+from uavrl.training.run import create_run
 from uavrl.training.update import ActorCriticStepper
-
-
-def categorical() -> list[TensorDictModule]:
-    return [TensorDictModule(CategoricalCritic(6, 2, (8, 8), atoms=21), *KEYS) for _ in range(2)]
-
-
-def xqc(**options: object) -> XQCLoss:
-    return XQCLoss(stochastic_actor(), categorical(), action_spec=SPEC, **options)
-
-
-def xqc_td3(**options: object) -> XQCTD3Loss:
-    return XQCTD3Loss(actor(), categorical(), action_spec=SPEC, **options)
-
 
 BOTH = pytest.mark.parametrize("make", [xqc, xqc_td3])
 
@@ -65,18 +52,6 @@ class _Contract(ActorCriticLossContract):
             expected = 0.75 * before[key] + 0.25 * before[key.replace("target_", "")]
             torch.testing.assert_close(after[key], expected)
             assert not torch.equal(before[key], after[key])
-
-    def test_forward_gives_each_loss(self) -> None:
-        """From a tensordict and from keyword arguments, by two copies: a call moves the statistics."""
-        loss, data = self.make_loss(), self.make_data()
-        other = copy.deepcopy(loss)
-        torch.manual_seed(1)
-        values = loss(**self.arguments(data))
-        torch.manual_seed(1)
-        losses = other(data)
-        for key, value in zip(loss.out_keys, values, strict=True):
-            torch.testing.assert_close(value, losses[key])
-        assert {"loss_actor", "loss_qvalue"} <= set(losses.keys())
 
     def test_parameters_are_drawn_anew_by_each_network(self) -> None:
         """Rows of norm 1, a bias of 0; normalisations begin again, and targets are copies."""
@@ -103,18 +78,6 @@ class TestXQC(_Contract):
 class TestXQCTD3(_Contract):
     def make_loss(self, **options: object) -> XQCTD3Loss:
         return xqc_td3(**options)
-
-
-def batch(size: int = 12) -> TensorDict:
-    return TestXQC().make_data(size=size)
-
-
-def statistics(loss: ActorCriticLoss) -> list[Tensor]:
-    """Those of the critics and of their targets."""
-    found = loss.state_dict().items()
-    return [
-        value.clone() for key, value in found if key.rpartition(".")[2] in ("running_mean", "running_var", "batches")
-    ]
 
 
 # ---------------------------------------------------------------------- the projection
@@ -394,36 +357,10 @@ def test_other_critics_are_left_as_they_are() -> None:
     torch.testing.assert_close(dict(loss.state_dict()), dict(before), atol=0, rtol=0)
 
 
-@BOTH
-@pytest.mark.parametrize("name", PENALTIES)
-def test_penalties_attach_and_leave_the_statistics(make: type, name: str) -> None:
-    torch.manual_seed(0)
-    loss, data = activated(PENALTIES[name](make())), batch()
-    data["next", "collided"] = data["next", "terminated"].clone()
-    data["demonstrator_action"] = data["action"].flip(-1)
-    loss.value_loss(data)
-    before = statistics(loss)
-    torch.manual_seed(1)
-    with_term = loss.actor_loss(data)[0]
-    torch.manual_seed(1)
-    assert not torch.equal(with_term, loss.base.actor_loss(data)[0])
-    torch.testing.assert_close(statistics(loss), before, atol=0, rtol=0)
-
-
 # ---------------------------------------------------------------------- runs
 
 
 SMALL_CRITIC = ["algo.critic.hidden=[16,16]", "algo.critic.atoms=11"]
-
-
-@pytest.mark.parametrize("algo", ["xqc", "xqc_td3"])
-def test_a_run_with_all_the_rest(algo: str, tmp_path: Path) -> None:
-    """n-step targets, mirrored samples, a backward reward and priorities."""
-    seen = ["perception=range_image", "perception.last_action=true", "buffer=prioritized", "buffer.mirror=true"]
-    more = ["algo.n_steps=3", "backward_reward=abr", "trainer.episodes=8", *SMALL_CRITIC]
-    config = small_config(tmp_path / "run", f"algo={algo}", *seen, *more)
-    summary = train(config, create_run(config))
-    assert summary["updates"] > 20
 
 
 @pytest.mark.parametrize(
