@@ -87,6 +87,15 @@ def test_failures_are_named_by_their_kind(said: Said, tmp_path: Path) -> None:
 # ---------------------------------------------------------------------- statistics of runs
 
 
+def test_the_page_on_the_thesis_has_what_the_kept_runs_say(said: Said, tmp_path: Path) -> None:
+    shown, picture, page = ROOT / "docs/thesis.md", tmp_path / "thesis.png", tmp_path / "thesis.md"
+    emptied = re.sub(r"(: studies/thesis\.py -->\n)[^<]*", r"\1", shown.read_text(encoding="utf-8"))
+    page.write_text(emptied, encoding="utf-8")
+    said("thesis", "--page", page, "--plot", picture)
+    assert page.read_text(encoding="utf-8") == shown.read_text(encoding="utf-8") != emptied
+    assert picture.stat().st_size > 5_000
+
+
 def test_methods_are_compared_by_the_kept_runs(said: Said, tmp_path: Path) -> None:
     file = DATA / "methods/backward.json.gz"
     picture, chosen = tmp_path / "curves.png", ["--methods", "default reward", "ABR, centred", "IRCR"]
