@@ -81,6 +81,29 @@ def test_a_seed_repeats_bit_identically_also_after_other_use(
     assert not differing(first, rollout(fresh, 6))
 
 
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"randomize": Randomization(mass=0.2, wind=1.0, gust_intensity=0.5, action_delay=0.02)},
+        {"world": replace(SMALL, planes=1), "lidar": LidarConfig(max_range=4.0, range_noise=0.01)},
+    ],
+    ids=["randomised", "planes and noise"],
+)
+def test_a_physics_in_which_nothing_moved_is_kept_and_flies_as_a_new_one(
+    make: Callable[..., NavigationEnv], kwargs: dict[str, Any]
+) -> None:
+    env, fresh = make(2, max_steps=4, seed=1, **kwargs), make(2, max_steps=4, seed=7, **kwargs)
+    env.reset()
+    env.simulation.motors_on, kept = False, env.simulation
+    env.set_seed(7)
+    assert not differing(rollout(env, 9), rollout(fresh, 9))
+    assert env.simulation is kept
+    env.set_seed(7)
+    fresh.set_seed(7)
+    assert not differing(rollout(env, 3), rollout(fresh, 3))
+    assert env.simulation is not kept
+
+
 def test_partial_resets_draw_the_new_seeds_tasks_and_a_full_one_rebuilds(make: Callable[..., NavigationEnv]) -> None:
     one_of_two = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
     env, fresh = make(2, seed=1), make(2, seed=5)

@@ -167,25 +167,29 @@ class NavigationEnv(EnvBase):
         self._next_task = self._first
 
     def _rebuild(self, first: int) -> None:
-        """Builds physics, traffic and generators anew from the seed; meshes and the ray-casting scene stay."""
-        if self._simulation is not None:
-            self._simulation.close()
-            self._simulation = None
+        """Builds physics, traffic and generators anew from the seed; meshes and the ray-casting scene stay.
+
+        So does a physics in which nothing has moved: a collector resets its environment before it is seeded.
+        """
         seeds = np.random.SeedSequence(self._seed, spawn_key=(first,) if first else ()).spawn(3)
         traffic_rng, self._lidar_rng, gusts = map(np.random.default_rng, seeds)
         self._traffic, meshes, air = Traffic(self.world, traffic_rng), self.world.meshes, self.aerodynamics
         planes = len(self._traffic.legs)
         mesh = self._traffic.mesh if planes else None
-        self._simulation = Simulation(
-            meshes,
-            self.num_uavs,
-            airframe=self.airframe,
-            aerodynamics=air,
-            plane_mesh=mesh,
-            plane_count=planes,
-            max_speed=self.max_speed,
-            rng=gusts,
-        )
+        if self._simulation is not None and not self._simulation.restart(gusts):
+            self._simulation.close()
+            self._simulation = None
+        if self._simulation is None:
+            self._simulation = Simulation(
+                meshes,
+                self.num_uavs,
+                airframe=self.airframe,
+                aerodynamics=air,
+                plane_mesh=mesh,
+                plane_count=planes,
+                max_speed=self.max_speed,
+                rng=gusts,
+            )
         if self._lidar is None and not self.blind:
             self._lidar = Lidar(meshes, mesh, self.lidar_config)
         self._ways = ShortestWays(self.world, self.num_uavs) if "way" in self.privileged else None

@@ -96,7 +96,7 @@ class Simulation:
         self.count, self.substeps, self._dt = count, physics_rate // control_rate, 1 / physics_rate
         self._limits = np.array([max_speed] * 3 + [VEHICLE.yaw_rate_limit])  # of commands
         self._tracking_period = TRACKING_PERIOD if self.substeps % TRACKING_PERIOD == 0 else 1
-        self.motors_on, self._rng = True, rng
+        self.motors_on, self._rng, self._has_moved = True, rng, False
         self._history = StateHistory(count, plane_count, self.substeps)
         self._prepare_model()
         self._contents = list(meshes), plane_mesh, plane_count
@@ -152,6 +152,14 @@ class Simulation:
         self._publish()
         self._planes.bring(self.position)
 
+    def restart(self, rng: np.random.Generator) -> bool:
+        """Takes another source of the gusts, as a new one would; False if it has moved: Bullet remembers contacts.
+
+        All vehicles must be reset next, and the planes placed.
+        """
+        self.motors_on, self._rng = True, rng
+        return not self._has_moved
+
     def _rebuild(self, index: np.ndarray, params: Sequence[VehicleParams]) -> None:
         """Gives vehicles the masses of their params, and keeps the rest."""
         self.params.put(index, params)
@@ -180,7 +188,7 @@ class Simulation:
             plane_path: ``[substeps, K, 4]``: x, y, z in m and yaw in rad of the planes in each physics step.
             substeps: physics steps, if this is a part of a period: a multiple of 3. Parts and a whole come to the same.
         """
-        substeps = self._checked_substeps(substeps)
+        substeps, self._has_moved = self._checked_substeps(substeps), True
         target = feasible_command(self._checked_commands(commands), self.airframe, self.aerodynamics)
         shape = (substeps, len(self._planes.bodies), 4)
         if plane_path is None:
