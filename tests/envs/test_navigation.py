@@ -84,7 +84,11 @@ def test_a_seed_repeats_bit_identically_also_after_other_use(
 @pytest.mark.parametrize(
     "kwargs",
     [
-        {"randomize": Randomization(mass=0.2, wind=1.0, gust_intensity=0.5, action_delay=0.02)},
+        {
+            "randomize": Randomization(
+                mass=(0.8, 1.2), wind=(0.0, 1.0), gust_intensity=(0.1, 0.5), action_delay=(0.0, 0.02)
+            )
+        },
         {"world": replace(SMALL, planes=1), "lidar": LidarConfig(max_range=4.0, range_noise=0.01)},
     ],
     ids=["randomised", "planes and noise"],

@@ -58,7 +58,7 @@ def evade(
 
 
 def risks(paths: np.ndarray, ways: np.ndarray) -> np.ndarray:
-    """How much each of C paths ``[C, T, 3]`` comes near to any of K bodies on their ways ``[K, T, 3]``, ``[C]``; 0: far.
+    """How near each of C paths ``[C, T, 3]`` comes to any of K bodies on their ways ``[K, T, 3]``, ``[C]``; 0 is far.
 
     Where all paths come too near, it still tells the better from the worse.
 

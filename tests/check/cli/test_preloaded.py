@@ -1,5 +1,6 @@
 """What the server of a command's processes loads: nothing that a fork would break."""
 
+import os
 import subprocess
 import sys
 
@@ -24,7 +25,8 @@ for _ in range(2):
 
 
 def run(program: str) -> str:
-    return subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True).stdout
+    alone = os.environ | {"OMP_NUM_THREADS": "1"}  # more threads would be those of OpenBLAS, which end at a fork
+    return subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, env=alone).stdout
 
 
 def test_forked_processes_draw_numbers_of_their_own() -> None:

@@ -33,11 +33,12 @@ def predict_path(commanded: np.ndarray, velocity: np.ndarray) -> np.ndarray:
 
 
 def nearness(gap: np.ndarray) -> np.ndarray:
-    """How near one is to a body at each time ``[*B, T]``, of what lies between ``[*B, T, 3]``; 0 is far, sooner is more.
+    """How near a body is at each time ``[*B, T]``, of what lies between ``[*B, T, 3]``; 0 is far, sooner counts more.
 
     Examples:
-        >>> nearness(np.array([[0.0, 0.0, 9.0]] * STEPS)).tolist() == [0.0] * STEPS, nearness(np.zeros((STEPS, 3)))[[0, -1]]
-        (True, array([1.16475, 0.5    ]))
+        >>> far, there = np.array([[0.0, 0.0, 9.0]] * STEPS), np.zeros((STEPS, 3))
+        >>> bool(nearness(far).any()), nearness(there)[[0, -1]].round(2).tolist()
+        (False, [1.16, 0.5])
     """
     return _nearness(_apart(gap))
 
