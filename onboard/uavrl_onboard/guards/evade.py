@@ -3,16 +3,34 @@
 import numpy as np
 
 from uavrl_onboard.geometry import hull_distances, off_altitudes
-from uavrl_onboard.perception.motion.threats import DIRECTIONS, greatest_threats, predict_path
+from uavrl_onboard.perception.motion.threats import greatest_threats, nearness, predict_path, straight_on
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 SHARES = np.array([1.0, 0.5, 0.0], np.float32)  # of the speed that a direction would be flown at
 SLOWNESS, THREAT = 0.3, 3.0  # what standing costs, and a collision; chosen by hand
-NEAR, FAR = 0.15, 0.6  # m between hull and obstacle: a collision, and where it begins to cost, by hand, too
+# Costs of another velocity. A change by the velocity limit costs 1. All are chosen by hand.
+MEETING, LONG = 10.0, 3.0  # of coming near to a moving body: the nearest moment, and the mean of all
+NEAR, FAR = 0.15, 0.6  # m between hull and obstacle: a collision, and where it begins to cost
+BESIDE, AGAINST = 3.0, 10.0  # of flying near an obstacle, and into it
 SOON = 10  # steps of 0.1 s in which that is looked for
-OUTSIDE = 10.0  # cost of a metre beyond the altitudes in which one may fly
-# Velocities to fly instead, as shares of the limit.
-OTHERS = np.concatenate([*(share * DIRECTIONS for share in SHARES[:-1]), np.zeros((1, 3), np.float32)])
+OUTSIDE = 10.0  # of a metre beyond the altitudes in which one may fly
+BLOCKS = 10  # in which velocities are looked at, the cheapest first
+STEEP = 0.7  # m/s up or down, from which a body is taken to climb or dive
+RISES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0], np.float32)  # upward velocities to fly instead, as shares of the limit
+
+
+def _others() -> np.ndarray:
+    """Velocities to fly instead, as shares of the limit ``[C, 3]``: 24 directions, half and full speed; all rises."""
+    azimuths = np.linspace(-np.pi, np.pi, 24, endpoint=False)
+    circle = np.stack([np.cos(azimuths), np.sin(azimuths)], -1)
+    level = np.concatenate([circle, 0.5 * circle, np.zeros((1, 2))])
+    rises = np.repeat(RISES, len(level))
+    return np.column_stack([np.tile(level, (len(RISES), 1)), rises]).astype(np.float32)
+
+
+OTHERS = _others()
+CHOICES = len(RISES) + len(OTHERS)
+"""How many velocities there are to fly instead: the planned one with other rises, and ``OTHERS``."""
 
 
 def evade(
@@ -39,6 +57,51 @@ def evade(
     return total.min(-1), SHARES[total.argmin(-1)] * speed
 
 
+def risks(paths: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    """How much each of C paths ``[C, T, 3]`` comes near to any of K bodies on their ways ``[K, T, 3]``, ``[C]``; 0: far.
+
+    Where all paths come too near, it still tells the better from the worse.
+
+    Examples:
+        A body comes straight ahead. To rise is better than to fly on, and to rise faster is better still:
+
+        >>> way = np.stack([6 - 0.3 * np.arange(1, 21), np.zeros(20), np.zeros(20)], -1)[None]
+        >>> rising = np.array([[2.0, 0.0, 0.0], [2.0, 0.0, 0.4], [2.0, 0.0, 2.0]])
+        >>> on, slowly, fast = risks(predict_path(rising, np.array([2.0, 0.0, 0.0])), way)
+        >>> bool(on > slowly > fast == 0)
+        True
+    """
+    if not len(ways):
+        return np.zeros(len(paths))
+    near = nearness(paths[:, None] - ways).max(1)
+    return np.asarray(near.max(-1) + LONG * near.mean(-1))
+
+
+def possible_ways(objects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where moving objects ``[N, K, 7]`` may be in the next two seconds, and which of these ways there are.
+
+    Each may fly straight on; one that climbs or dives may also level off at once.
+
+    Returns:
+        The ways ``[N, 2 * K, T, 3]`` in m, seen from the vehicles, and ``bool [N, 2 * K]``.
+
+    Examples:
+        >>> falling = np.array([[[4.0, 0.0, 2.0, -3.0, 0.0, -2.0, 0.5]]])
+        >>> ways, known = possible_ways(falling)
+        >>> ways[0, :, 9].round(1).tolist(), known.tolist()
+        ([[1.0, 0.0, 0.0], [1.0, 0.0, 2.0]], [[True, True]])
+    """
+    level = objects.copy()
+    level[..., 5] = 0.0
+    level[np.abs(objects[..., 5]) < STEEP] = 0.0
+    return straight_on(np.concatenate([objects, level], -2).reshape(len(objects), -1))
+
+
+def is_met(planned: np.ndarray, velocity: np.ndarray, ways: np.ndarray) -> bool:
+    """Whether a vehicle with a ``velocity`` meets a body on one of K ways if it flies as ``planned``."""
+    return bool(risks(predict_path(planned[None], velocity), ways)[0] > 0)
+
+
 def evaded(
     planned: np.ndarray,
     velocity: np.ndarray,
@@ -51,7 +114,7 @@ def evaded(
     """Planned velocities ``[N, 3]`` in m/s, and in place of one that leads to a moving body the best of some others.
 
     Each other one costs its difference to the planned one, the moving bodies on it, and what stands near it. This is a
-    reactive law beside a planner, for bodies that fly straight on.
+    reactive law beside a planner.
 
     Args:
         planned: in the axes of the vehicle's yaw, as all vectors here.
@@ -73,18 +136,36 @@ def evaded(
         >>> evaded(ahead, ahead, ways, np.array([[False]]), *around).tolist()
         [[2.0, 0.0, 0.0]]
     """
-    limit, others = vehicle.velocity_limit, OTHERS * np.float32(vehicle.velocity_limit)
-    worst = greatest_threats(planned, velocity, ways, known)
     flown = planned + 0.0
-    for one in np.flatnonzero(worst > 0).tolist():
-        own = slice(one, one + 1)
-        tried = np.concatenate([planned[own], others])[None]  # [1, C, 3]
-        path = predict_path(tried, velocity[own, None])[0, :, :SOON]  # [C, T, 3]
-        beside = hull_distances(points[one], path, NEAR, vehicle.hull)
-        off = off_altitudes(height[one] + path[..., 2], vehicle).max(-1)
-        near = ((FAR - beside) / (FAR - NEAR)).clip(0.0, 1.0).max(-1)
-        threats = greatest_threats(tried, velocity[own], ways[own], known[own])[0]
-        changed = ((tried[0] - planned[one]) ** 2).sum(-1) ** 0.5 / limit
-        cost = changed + THREAT * (threats + near + (beside < NEAR).any(-1)) + OUTSIDE * off
-        flown[one] = tried[0, cost.argmin()]
+    for one in np.flatnonzero(known.any(-1)).tolist():
+        met = ways[one, known[one]]
+        if is_met(planned[one], velocity[one], met):
+            flown[one] = give_way(planned[one], velocity[one], met, points[one], float(height[one, 0]), vehicle)
     return flown
+
+
+def give_way(
+    planned: np.ndarray, velocity: np.ndarray, ways: np.ndarray, points: np.ndarray, height: float, vehicle: Vehicle
+) -> np.ndarray:
+    """The velocity ``[3]`` of the least cost to fly instead of ``planned``, for one vehicle of :func:`evaded`."""
+    limit = vehicle.velocity_limit
+    rising = np.column_stack([np.tile(planned[:2], (len(RISES), 1)), limit * RISES])
+    tried = np.concatenate([planned[None], rising, limit * OTHERS])  # [C, 3]
+    paths = predict_path(tried, velocity)  # [C, T, 3]
+    cost = np.linalg.norm(tried - planned, axis=-1) / limit + MEETING * risks(paths, ways)
+    best, least = planned, np.inf
+    for some in np.array_split(cost.argsort(kind="stable"), BLOCKS):
+        if cost[some[0]] >= least:
+            break
+        total = cost[some] + standing_costs(paths[some, :SOON], points, height, vehicle)
+        if total.min() < least:
+            best, least = tried[some[total.argmin()]], total.min()
+    return best
+
+
+def standing_costs(paths: np.ndarray, points: np.ndarray, height: float, vehicle: Vehicle) -> np.ndarray:
+    """What C paths ``[C, T, 3]`` cost near obstacles and outside the altitudes in which one may fly, ``[C]``."""
+    beside = hull_distances(points, paths, NEAR, vehicle.hull)
+    close = ((FAR - beside) / (FAR - NEAR)).clip(0.0, 1.0).max(-1)
+    off = off_altitudes(height + paths[..., 2], vehicle).max(-1)
+    return np.asarray(BESIDE * close + AGAINST * (beside < NEAR).any(-1) + OUTSIDE * off)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from uavrl_onboard.geometry import body_to_level, is_inside, world_to_yaw
-from uavrl_onboard.guards.evade import evaded
+from uavrl_onboard.guards.evade import give_way, is_met, possible_ways
 from uavrl_onboard.guards.histogram import polar_histogram
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.perception.motion.occlusion import find_returns
-from uavrl_onboard.perception.motion.threats import greatest_threats, straight_on
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 STANDING = 4.0  # m, up to which obstacles that stand count
@@ -18,9 +17,9 @@ STANDING = 4.0  # m, up to which obstacles that stand count
 class Evasion:
     """Keeps vehicles out of the way of moving objects, whatever a policy asks for.
 
-    Where a velocity would meet a moving object within two seconds, if that flies straight on,
-    :func:`uavrl_onboard.guards.evade.evaded` chooses another velocity, away from obstacles that stand. Motion detection
-    belongs to :class:`~uavrl_onboard.guards.chain.Guards`, which serves all guards.
+    Where a velocity would meet a moving object within two seconds, if that flies straight on or levels off,
+    :func:`uavrl_onboard.guards.evade.give_way` chooses another velocity, away from obstacles that stand. Motion
+    detection belongs to :class:`~uavrl_onboard.guards.chain.Guards`, which serves all guards.
 
     Args:
         vehicle: its hull, LiDAR, velocity limit and altitudes.
@@ -56,19 +55,19 @@ class Evasion:
         flown = np.asarray(velocities, float).clip(-limit, limit)
         if not seen.objects.any():
             return flown
-        ways, known = straight_on(seen.objects.reshape(len(seen.objects), -1).astype(float))
+        ways, known = possible_ways(seen.objects.astype(float))
         tilts, own = body_to_level(seen.attitudes), world_to_yaw(seen.velocities, seen.attitudes[:, 2])
         ways = ways + (self.vehicle.lidar_above * tilts[:, :, 2])[:, None, None]  # from the hull's middle
         heights = seen.altitudes - self.vehicle.flight_level
-        asked = flown.copy()
-        for one in np.flatnonzero(greatest_threats(asked, own, ways, known) > 0).tolist():
-            mine, around = slice(one, one + 1), self._around(seen.standing(one, STANDING), tilts[one])
-            told = asked[mine], own[mine], ways[mine], known[mine], around, heights[mine, None]
-            flown[mine] = evaded(*told, self.vehicle)
+        for one in np.flatnonzero(known.any(1)).tolist():
+            met = ways[one, known[one]]
+            if is_met(flown[one], own[one], met):
+                around = self._around(seen.standing(one, STANDING), tilts[one])
+                flown[one] = give_way(flown[one], own[one], met, around, float(heights[one]), self.vehicle)
         return flown
 
-    def _around(self, cloud: np.ndarray, tilt: np.ndarray) -> list[np.ndarray]:
+    def _around(self, cloud: np.ndarray, tilt: np.ndarray) -> np.ndarray:
         """The nearest return of each direction that is not of the vehicle itself, from its middle in level axes."""
         points = find_returns(cloud[None], STANDING).points.T + np.array([0.0, 0.0, self.vehicle.lidar_above])
         points = points[~is_inside(points, self.vehicle.hull)] @ tilt.T
-        return polar_histogram(points, np.zeros(len(points), int), 1)
+        return polar_histogram(points, np.zeros(len(points), int), 1)[0]

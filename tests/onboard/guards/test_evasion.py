@@ -60,8 +60,9 @@ def test_a_policy_that_knows_of_nothing_keeps_out_of_the_way_of_what_its_scans_s
 
 
 def evasive(aside: float, standing: np.ndarray, tilt: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
-    """What is flown instead of 2 m/s ahead by a vehicle that stands, when a ball comes, a little ``aside``."""
-    guards, attitude = Guards(EVASION), np.array([[*tilt, 0.0]])
+    """What a vehicle that stands and may not leave its level flies instead of 2 m/s ahead: a ball comes, ``aside``."""
+    vehicle = Vehicle(lowest=-0.01, highest=0.01)
+    guards, attitude = Guards(EVASION, vehicle=vehicle), np.array([[*tilt, 0.0]])
     for step in range(14):
         points = np.concatenate([ball(np.array([8.0 - 0.3 * step, aside, 0.0])), standing])
         cloud = points @ body_to_world(attitude)[0] - [0.0, 0.0, ABOVE]
@@ -90,7 +91,7 @@ def test_what_stands_is_reckoned_from_the_hulls_middle_in_level_axes_without_the
     rolled = body_to_level(np.array([[np.pi / 2, 0.0, 2.0]]))[0]
     rotor, above = [0.2, 0.2, -0.45], [1.0, 0.0, 1.5]
     found = Evasion(vehicle=Vehicle(lidar_position=(0.0, 0.0, 0.5)))._around(np.array([rotor, above]), rolled)
-    assert found[0] == pytest.approx(np.array([[1.0, -2.0, 0.0]]), abs=1e-6)
+    assert found == pytest.approx(np.array([[1.0, -2.0, 0.0]]), abs=1e-6)
 
 
 def hovering(guards: Guards, cloud: np.ndarray, asked: np.ndarray = AHEAD) -> np.ndarray:
@@ -137,5 +138,5 @@ def test_where_less_may_be_flown_it_evades_more_slowly() -> None:
     for step in range(12):
         flown = hovering(slow, ball(np.array([9.0 - 0.3 * step, 0.5, 0.0])), np.array([[1.0, 0.0, 0.0]]))
         most = max(most, float(np.linalg.norm(flown[1:])))
-        assert np.linalg.norm(flown) <= 1.0 + 1e-6
+        assert np.abs(flown).max() <= 1.0
     assert most > 0.4

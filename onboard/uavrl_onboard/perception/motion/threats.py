@@ -32,6 +32,16 @@ def predict_path(commanded: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     return commanded[..., None, :] * (times - lost)[:, None] + velocity[..., None, :] * lost[:, None]
 
 
+def nearness(gap: np.ndarray) -> np.ndarray:
+    """How near one is to a body at each time ``[*B, T]``, of what lies between ``[*B, T, 3]``; 0 is far, sooner is more.
+
+    Examples:
+        >>> nearness(np.array([[0.0, 0.0, 9.0]] * STEPS)).tolist() == [0.0] * STEPS, nearness(np.zeros((STEPS, 3)))[[0, -1]]
+        (True, array([1.16475, 0.5    ]))
+    """
+    return _nearness(_apart(gap))
+
+
 def threat(gap: np.ndarray) -> np.ndarray:
     """How near one comes to a body and how soon ``[*B]``, of what lies between ``[*B, T, 3]``; 0 is far.
 
@@ -39,12 +49,19 @@ def threat(gap: np.ndarray) -> np.ndarray:
         >>> float(threat(np.full((STEPS, 3), 9.0)))
         0.0
     """
+    apart = _apart(gap)
+    return np.asarray(_nearness(apart).max(-1) + (apart < 1).any(-1))
+
+
+def _apart(gap: np.ndarray) -> np.ndarray:
+    """How far apart ``[*B, T]``, in units of what is too near."""
     level = (gap[..., 0] ** 2 + gap[..., 1] ** 2) ** 0.5
-    apart = np.maximum(level / WIDE, np.abs(gap[..., 2]) / HIGH)  # below 1: too near
-    times = TIMES.astype(gap.dtype)
-    share = times / times[-1]
-    soon = (1.2 - 0.2 * share - apart).clip(0.0) * (1 - 0.5 * share)
-    return np.asarray(soon.max(-1) + (apart < 1).any(-1))
+    return np.asarray(np.maximum(level / WIDE, np.abs(gap[..., 2]) / HIGH))
+
+
+def _nearness(apart: np.ndarray) -> np.ndarray:
+    share = TIMES.astype(apart.dtype) / TIMES.astype(apart.dtype)[-1]
+    return np.asarray((1.2 - 0.2 * share - apart).clip(0.0) * (1 - 0.5 * share))
 
 
 def straight_on(objects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
