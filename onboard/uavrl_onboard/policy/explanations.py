@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from uavrl_onboard.guards.evade import OTHERS
+from uavrl_onboard.guards.evade import CHOICES
 from uavrl_onboard.guards.shield import Shield
 from uavrl_onboard.perception.cells import Statistic
 from uavrl_onboard.perception.motion import OBJECT
@@ -107,8 +107,8 @@ GUARD_MAP = (
 )
 GUARD_EVASION = (
     f"a velocity that would meet one of the nearest moving objects within {STEPS * PERIOD:g} s, if they fly straight "
-    f"on, is replaced by the best of {len(OTHERS)} others. MotionSight of uavrl_onboard detects the objects up to "
-    "sight m away"
+    f"on or level off, is replaced by the best of {CHOICES} others. MotionSight of uavrl_onboard detects the objects up "
+    "to sight m away"
 )
 GUARD_SHIELD = (
     f"the velocity towards each point of the scan within {Shield.sight:g} m, except those of moving objects, is at "
