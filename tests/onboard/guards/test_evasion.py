@@ -9,11 +9,11 @@ import torch
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl_onboard.geometry import body_to_level, body_to_world
 from uavrl_onboard.guards.chain import Guards
-from uavrl_onboard.guards.evade import evaded
+from uavrl_onboard.guards.evade import evaded, possible_ways
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.guards.settings import EvasionSettings, GuardSettings
-from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE
+from uavrl_onboard.perception.motion.threats import HIGH, STEPS, WIDE, predict_path, straight_on
 from uavrl_onboard.vehicle import Vehicle
 
 ABOVE = 0.1  # m, of the LiDAR over the hull's middle
@@ -140,3 +140,42 @@ def test_where_less_may_be_flown_it_evades_more_slowly() -> None:
         most = max(most, float(np.linalg.norm(flown[1:])))
         assert np.abs(flown).max() <= 1.0
     assert most > 0.4
+
+
+def closest(flown: np.ndarray, velocity: np.ndarray, body: np.ndarray) -> float:
+    """How near a body ``[7]`` comes that flies straight on, in units of the margin; below 0.66 it may touch."""
+    ways, _ = straight_on(body[None])
+    gap = predict_path(flown, velocity) - ways[0, 0]
+    return float(np.maximum(np.hypot(gap[:, 0], gap[:, 1]) / WIDE, np.abs(gap[:, 2]) / HIGH).min())
+
+
+@pytest.mark.parametrize(
+    ("body", "velocity", "asked"),
+    [
+        ([-1.51, -1.29, 0.06, 3.28, 1.68, -0.1, 1.0], [1.89, 0.08, 0.24], [1.82, 0.08, 0.24]),
+        ([1.34, -1.41, 0.05, -1.67, 3.12, -0.17, 1.0], [0.95, 0.68, -0.92], [1.99, 0.63, 0.33]),
+        ([1.03, 1.9, -0.25, -1.3, -3.06, -0.03, 1.0], [1.72, -0.06, 0.11], [1.95, -0.15, -0.19]),
+    ],
+    ids=["from behind", "from the right", "from the left"],
+)
+def test_it_does_not_give_up_where_every_velocity_comes_too_near(
+    body: list[float], velocity: list[float], asked: list[float]
+) -> None:
+    """Bodies that are less than a second away: none can be passed at the margin, but a collision can be avoided."""
+    told, own, wanted = np.array(body), np.array(velocity), np.array(asked)
+    ways, known = possible_ways(told[None, None])
+    around = ([np.zeros((0, 3))], np.zeros((1, 1)))
+    flown = evaded(wanted[None], own[None], ways, known, *around)[0]
+    assert closest(wanted, own, told) < 0.5
+    assert closest(flown, own, told) > 0.68
+
+
+def test_what_dives_may_level_off() -> None:
+    """A body dives from the right through the level of the vehicle; straight on, it would pass far below."""
+    body = np.array([[[2.0, -2.6, 0.2, 0.0, 2.6, -2.6, 1.0]]])
+    ahead = np.array([[2.0, 0.0, 0.0]])
+    around = ([np.zeros((0, 3))], np.zeros((1, 1)))
+    assert evaded(ahead, ahead, *straight_on(body.reshape(1, -1)), *around).tolist() == ahead.tolist()
+    assert np.abs(evaded(ahead, ahead, *possible_ways(body), *around) - ahead).max() > 0.3
+    level = body * [1.0, 1.0, 1.0, 1.0, 1.0, 0.1, 1.0]
+    assert possible_ways(level)[1].tolist() == [[True, False]]
