@@ -112,7 +112,7 @@ PLANNERS = {
     "`best`": ["uavrl/policies/data/best/suite.json"],
     "`best`, shield": ["docs/data/suite/shielded.json"],
     "`best`, map": ["docs/data/suite/best_memory.json"],
-    "`best`, all": ["docs/data/suite/evading_shielded_memory.json", "docs/data/suite/guards.json"],
+    "`best`, all": ["docs/data/suite/guards.json"],
     "`best_dynamic`": ["uavrl/policies/data/best_dynamic/suite.json"],
 }
 
