@@ -25,6 +25,7 @@ from run_statistics import FEWEST, RESAMPLES, Flights, cut, iqm, opened
 from uavrl.errors import UavrlError
 from uavrl.reporting.learning_curves import moving_mean
 from uavrl.runs.episodes import read_episodes, wilson
+from uavrl_onboard.cli.process import one_sentence
 
 ROOT = Path(__file__).resolve().parents[1]
 METHODS, WALKERS = ROOT / "docs/data/methods", ROOT / "docs/data/bipedal"
@@ -291,4 +292,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with one_sentence():
+        main()
