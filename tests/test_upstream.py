@@ -1,4 +1,4 @@
-"""What is private in other libraries, and used: it is still there, and no more of it is used."""
+"""What is private in TorchRL, tensordict and torch, and used: it is still there, and no more of it is used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import uavrl
 from uavrl import upstream
 from uavrl.runs import trust
 
-THEIRS = ("torch", "torchrl", "tensordict", "multiprocessing")
+THEIRS = ("torch", "torchrl", "tensordict")
 PUBLIC = {"_asdict", "_target_"}  # of named tuples and of Hydra
 
 

@@ -1,4 +1,4 @@
-"""Every private name of other libraries that uavrl uses: where it can break when they move.
+"""Every private name of TorchRL, tensordict, torch and Ray that uavrl uses: where it can break when they move.
 
 Functions are given a public name here and imported from here. What a class inherits, or an object is asked for, cannot
 be imported: it stands in :data:`ATTRIBUTES`. ``tests/test_upstream.py`` tells what a new version has moved, and what is
@@ -76,7 +76,6 @@ ATTRIBUTES: dict[str, tuple[str, ...]] = {
     "torchrl.data.TensorDictRoundRobinWriter": ("_cursor",),
     "torchrl.collectors.Collector": ("_weight_sync_schemes", "_frames", "_iter"),
     "tensordict.TensorDict": ("_fast_apply",),
-    "multiprocessing.forkserver.ForkServer": ("_stop", "_forkserver_pid"),
     "tensordict.nn.TensorDictModule": ("_kwargs",),
     "torch.nn.Module": ("_modules", "_load_from_state_dict"),
 }

@@ -1,7 +1,7 @@
 """``uavrl-evaluate``: rolls out the policy of a run, or a baseline, in fixed tasks."""
 
 import logging
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,14 +11,11 @@ from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.cli.command import command, given_overrides
 from uavrl.cli.flights import Evaluation, chosen_policy, fly, in_processes, jobs_of, shares_of, worlds_of, write_result
-from uavrl.cli.processes import PRELOADED
 from uavrl.cli.suite import evaluate_suite
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.command_line import command_line, override
 from uavrl.evaluation.overrides import PLAIN_KEYS, output_name, result_overrides
 from uavrl.evaluation.policies import require_named, require_one
-from uavrl.runs.fork_server import fork_server
-from uavrl.runs.machine import processors
 from uavrl.runs.progress_line import ProgressLine
 from uavrl_onboard.files import writable
 from uavrl_onboard.pluralize import pluralize
@@ -38,17 +35,6 @@ def main(config: DictConfig) -> None:
         require_one(config.run, config.policy)
         if config.progress is True and (flown := config.run or config.policy):
             log.info("Loading %s ...", flown)
-    with fork_server(PRELOADED, config.threads) if _flies_in_processes(config) else nullcontext():
-        _evaluate(config)
-
-
-def _flies_in_processes(config: DictConfig) -> bool:
-    """Whether a command that is not validated yet starts processes that compute on the CPU."""
-    several = config.suite is not None or config.processes != 1
-    return several and config.device == "cpu" and isinstance(config.threads, int) and processors() > 1
-
-
-def _evaluate(config: DictConfig) -> None:
     settings = validate(config, EvaluateConfig)
     if settings.suite is not None:
         evaluate_suite(settings, given_overrides())

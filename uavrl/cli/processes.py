@@ -13,10 +13,9 @@ from typing import Any
 
 from uavrl.cli.logs import configure_logging
 from uavrl.errors import UavrlError
-from uavrl.runs.fork_server import start_method, threads_set
 
-PRELOADED = "uavrl.cli.preloaded"  # the module that the server imports which forks processes
 SPAWN = multiprocessing.get_context("spawn")
+THREADS = "OMP_NUM_THREADS"  # that NumPy, SciPy and PyTorch use, which they read when they are loaded
 EVERY = 1.0  # s, at the latest, between two looks at what has ended: a signal wakes only the thread that it comes to
 _counters: list[Any] = []  # of a process that flies, the one of tasks that have ended
 
@@ -26,20 +25,21 @@ def processes(count: int, ended: Any = None, *, threads: int = 1) -> Iterator[Pr
     """So many processes, which end with this one, and at once on an error and on Ctrl-C.
 
     They count the tasks that have ended in ``ended``, a shared integer, and compute with ``threads`` threads each,
-    unless the environment of the command says otherwise. The server of :func:`uavrl.runs.fork_server.fork_server` forks
-    them where it runs.
+    unless the environment of the command says otherwise.
     """
-    context = multiprocessing.get_context(start_method() or "spawn")
-    with threads_set(threads):
-        pool = ProcessPoolExecutor(count, context, _begin, (ended,))
-        try:
-            yield pool
-        except BaseException:
-            for process in multiprocessing.active_children():
-                process.kill()
-            raise
-        finally:
-            pool.shutdown(cancel_futures=True)
+    given = os.environ.get(THREADS)
+    os.environ.setdefault(THREADS, str(threads))
+    pool = ProcessPoolExecutor(count, SPAWN, _begin, (ended,))
+    try:
+        yield pool
+    except BaseException:
+        for process in multiprocessing.active_children():
+            process.kill()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+        if given is None:
+            del os.environ[THREADS]
 
 
 def counter() -> Any:

@@ -5,7 +5,7 @@ import logging
 import sys
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -18,7 +18,6 @@ from uavrl.cli import sweep_runs
 from uavrl.cli.command import command
 from uavrl.cli.logs import configure_logging
 from uavrl.cli.memory import require_memory
-from uavrl.cli.processes import PRELOADED
 from uavrl.config import TrainConfig, resolve, validate
 from uavrl.config.command_line import command_line, trusting
 from uavrl.config.validation import to_config
@@ -27,7 +26,6 @@ from uavrl.runs.clock import start_clock
 from uavrl.runs.config import require_typed_run
 from uavrl.runs.episodes import RATES, success_text, wilson
 from uavrl.runs.folders import made_folder
-from uavrl.runs.fork_server import fork_server
 from uavrl.runs.names import ANY_CHECKPOINT, TRAINING
 from uavrl.runs.taken import refuse_a_run
 from uavrl.runs.trust import check_links
@@ -35,7 +33,6 @@ from uavrl_onboard.cli.process import one_sentence, sentence
 from uavrl_onboard.pluralize import pluralize
 
 log = logging.getLogger(__name__)
-ASYNC = "uavrl.collectors.async_.AsyncCollector"
 LOOK_AGAIN = 20.0  # s until a sweep looks again whether runs of other processes have ended
 
 
@@ -89,12 +86,6 @@ def _train(config: DictConfig) -> None:
     _require_free(config)
     if OmegaConf.select(config, "trainer.progress") is True:
         log.info("Loading %s ...", OmegaConf.select(config, "resume") or "PyTorch")
-    collects_elsewhere = OmegaConf.select(config, "collector._target_") == ASYNC
-    with fork_server(PRELOADED) if collects_elsewhere else nullcontext():
-        _load_and_train(config)
-
-
-def _load_and_train(config: DictConfig) -> None:
     settings = validate(config)
     _check(settings)
     named_by_time = "${now:" in str(OmegaConf.to_container(config)["run_dir"])  # type: ignore[call-overload,index]

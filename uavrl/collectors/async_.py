@@ -1,21 +1,19 @@
 """Collecting in other processes while one learns."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import active_children, resource_tracker
 from multiprocessing.process import BaseProcess
 from multiprocessing.util import Finalize
 from typing import Annotated, Any, ClassVar
 
-import torch
 from pydantic import Field
 from tensordict import TensorDictBase
 from torchrl.collectors import MultiAsyncCollector
 from torchrl.envs import EnvBase
 
 from uavrl.errors import FlyingEnded, UavrlError
-from uavrl.runs.fork_server import forked_processes
 from uavrl.runs.interrupts import interrupts_end
 
 
@@ -39,7 +37,7 @@ class AsyncCollector(MultiAsyncCollector):
         others = active_children()
         try:
             resource_tracker.ensure_running()  # starting it later would let interrupts through again
-            with interrupts_end(lambda: _kill_all_but(others)), forked_processes(_kind_of_device(kwargs)):
+            with interrupts_end(lambda: _kill_all_but(others)):
                 super().__init__([create_env_fn] * processes, **kwargs)
         except BaseException:  # Ctrl-C too: it is ours after the library has been told that its processes are gone
             _kill_all_but(others)
@@ -103,11 +101,6 @@ class AsyncCollector(MultiAsyncCollector):
     def load_state_dict(self, state_dict: OrderedDict[str, Any]) -> None:
         """Restores what :meth:`state_dict` gave."""
         self._frames, self._iter = state_dict["frames"], state_dict["iter"]
-
-
-def _kind_of_device(options: Mapping[str, Any]) -> str:
-    """On what the workers compute their actions."""
-    return torch.device(options.get("policy_device") or options.get("device") or "cpu").type
 
 
 @contextmanager

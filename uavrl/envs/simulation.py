@@ -157,8 +157,10 @@ class Simulation:
 
         All vehicles must be reset next, and the planes placed.
         """
+        if self._has_moved:
+            return False
         self.motors_on, self._rng = True, rng
-        return not self._has_moved
+        return True
 
     def _rebuild(self, index: np.ndarray, params: Sequence[VehicleParams]) -> None:
         """Gives vehicles the masses of their params, and keeps the rest."""

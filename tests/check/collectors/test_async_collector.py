@@ -9,8 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import nullcontext
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -22,11 +20,9 @@ from torchrl.data import Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from tests.helpers.runs import small_config
-from uavrl.cli.processes import PRELOADED
 from uavrl.collectors.async_ import AsyncCollector
 from uavrl.errors import UavrlError
 from uavrl.runs.episodes import read_episodes
-from uavrl.runs.fork_server import fork_server, start_method
 from uavrl.training.run import create_run, train
 
 
@@ -74,18 +70,9 @@ def collector(env: type[EnvBase], actor: TensorDictModule, **more: int) -> Async
     return AsyncCollector(env, policy=actor, frames_per_batch=5, total_frames=-1, device="cpu", **whole, **more)
 
 
-@pytest.fixture(params=["started anew", "forked"])
-def server(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Processes that load PyTorch themselves, or that a server forks which has loaded it."""
-    with fork_server(PRELOADED) if request.param == "forked" else nullcontext():
-        yield
-
-
-@pytest.mark.usefixtures("server")
 def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
     actor = policy()
     flown = collector(Counter, actor)
-    assert {type(each).__name__ for each in flown.procs} == {_expected_class()}
     assert Counter().disturbed() == 1.0
     with torch.no_grad():
         actor.module.bias.fill_(99.0)  # as a checkpoint would
@@ -105,10 +92,6 @@ def test_whole_episodes_come_and_the_policy_follows_the_learners() -> None:
         assert flown.state_dict() == {"frames": 45, "iter": 8}
     finally:
         flown.shutdown()
-
-
-def _expected_class() -> str:
-    return "_ProcessNoWarnSpawn" if start_method() is None else "_ProcessNoWarnForkserver"
 
 
 class Seeded(Counter):
@@ -170,7 +153,6 @@ class Slow(Breaking):
         super().__init__()
 
 
-@pytest.mark.usefixtures("server")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_ctrl_c_does_not_wait_for_a_world_that_is_being_built(number: int) -> None:
     begun, others = time.monotonic(), active_children()
