@@ -1,5 +1,8 @@
 """The costs of flying where moving objects will pass, and the velocity to fly instead."""
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from uavrl_onboard.geometry import hull_distances, off_altitudes
@@ -97,11 +100,6 @@ def possible_ways(objects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return straight_on(np.concatenate([objects, level], -2).reshape(len(objects), -1))
 
 
-def is_met(planned: np.ndarray, velocity: np.ndarray, ways: np.ndarray) -> bool:
-    """Whether a vehicle with a ``velocity`` meets a body on one of K ways if it flies as ``planned``."""
-    return bool(risks(predict_path(planned[None], velocity), ways)[0] > 0)
-
-
 def evaded(
     planned: np.ndarray,
     velocity: np.ndarray,
@@ -119,7 +117,8 @@ def evaded(
     Args:
         planned: in the axes of the vehicle's yaw, as all vectors here.
         velocity: of the vehicles in m/s, ``[N, 3]``.
-        ways: where K bodies will be, seen from the vehicles, ``[N, K, T, 3]`` in m.
+        ways: where K bodies will be, seen from the vehicles, ``[N, K, T, 3]`` in m: those of :func:`possible_ways`, or
+            those of bodies that fly straight on.
         known: which of them there are, ``bool [N, K]``.
         points: of each vehicle the obstacles around it, ``[P, 3]`` m.
         height: of the vehicles over the flight level, ``[N, 1]`` m.
@@ -138,17 +137,23 @@ def evaded(
     """
     flown = planned + 0.0
     for one in np.flatnonzero(known.any(-1)).tolist():
-        met = ways[one, known[one]]
-        if is_met(planned[one], velocity[one], met):
-            flown[one] = give_way(planned[one], velocity[one], met, points[one], float(height[one, 0]), vehicle)
+        told = planned[one], velocity[one], ways[one, known[one]]
+        flown[one] = evaded_by_one(*told, partial(points.__getitem__, one), float(height[one, 0]), vehicle)
     return flown
 
 
-def give_way(
-    planned: np.ndarray, velocity: np.ndarray, ways: np.ndarray, points: np.ndarray, height: float, vehicle: Vehicle
+def evaded_by_one(
+    planned: np.ndarray,
+    velocity: np.ndarray,
+    ways: np.ndarray,
+    points: Callable[[], np.ndarray],
+    height: float,
+    vehicle: Vehicle,
 ) -> np.ndarray:
-    """The velocity ``[3]`` of the least cost to fly instead of ``planned``, for one vehicle of :func:`evaded`."""
-    limit = vehicle.velocity_limit
+    """:func:`evaded` for one vehicle; it asks for the obstacles around it only if it would meet a body."""
+    if risks(predict_path(planned[None], velocity), ways)[0] <= 0:
+        return planned
+    around, limit = points(), vehicle.velocity_limit
     rising = np.column_stack([np.tile(planned[:2], (len(RISES), 1)), limit * RISES])
     tried = np.concatenate([planned[None], rising, limit * OTHERS])  # [C, 3]
     paths = predict_path(tried, velocity)  # [C, T, 3]
@@ -157,7 +162,7 @@ def give_way(
     for some in np.array_split(cost.argsort(kind="stable"), BLOCKS):
         if cost[some[0]] >= least:
             break
-        total = cost[some] + standing_costs(paths[some, :SOON], points, height, vehicle)
+        total = cost[some] + standing_costs(paths[some, :SOON], around, height, vehicle)
         if total.min() < least:
             best, least = tried[some[total.argmin()]], total.min()
     return best

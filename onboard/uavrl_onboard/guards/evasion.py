@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from uavrl_onboard.geometry import body_to_level, is_inside, world_to_yaw
-from uavrl_onboard.guards.evade import give_way, is_met, possible_ways
+from uavrl_onboard.guards.evade import evaded_by_one, possible_ways
 from uavrl_onboard.guards.histogram import polar_histogram
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.perception.motion.occlusion import find_returns
@@ -18,7 +20,7 @@ class Evasion:
     """Keeps vehicles out of the way of moving objects, whatever a policy asks for.
 
     Where a velocity would meet a moving object within two seconds, if that flies straight on or levels off,
-    :func:`uavrl_onboard.guards.evade.give_way` chooses another velocity, away from obstacles that stand. Motion
+    :func:`uavrl_onboard.guards.evade.evaded_by_one` chooses another velocity, away from obstacles that stand. Motion
     detection belongs to :class:`~uavrl_onboard.guards.chain.Guards`, which serves all guards.
 
     Args:
@@ -60,14 +62,13 @@ class Evasion:
         ways = ways + (self.vehicle.lidar_above * tilts[:, :, 2])[:, None, None]  # from the hull's middle
         heights = seen.altitudes - self.vehicle.flight_level
         for one in np.flatnonzero(known.any(1)).tolist():
-            met = ways[one, known[one]]
-            if is_met(flown[one], own[one], met):
-                around = self._around(seen.standing(one, STANDING), tilts[one])
-                flown[one] = give_way(flown[one], own[one], met, around, float(heights[one]), self.vehicle)
+            told = flown[one], own[one], ways[one, known[one]], partial(self._around, seen, one, tilts[one])
+            flown[one] = evaded_by_one(*told, float(heights[one]), self.vehicle)
         return flown
 
-    def _around(self, cloud: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    def _around(self, seen: Situation, vehicle: int, tilt: np.ndarray) -> np.ndarray:
         """The nearest return of each direction that is not of the vehicle itself, from its middle in level axes."""
+        cloud = seen.standing(vehicle, STANDING)
         points = find_returns(cloud[None], STANDING).points.T + np.array([0.0, 0.0, self.vehicle.lidar_above])
         points = points[~is_inside(points, self.vehicle.hull)] @ tilt.T
         return polar_histogram(points, np.zeros(len(points), int), 1)[0]

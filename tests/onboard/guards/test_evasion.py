@@ -90,7 +90,9 @@ def test_what_stands_is_reckoned_from_the_hulls_middle_in_level_axes_without_the
     """Rolled by 90 degrees the LiDAR is 0.5 m to the right, and what it sees above it lies to the right, too."""
     rolled = body_to_level(np.array([[np.pi / 2, 0.0, 2.0]]))[0]
     rotor, above = [0.2, 0.2, -0.45], [1.0, 0.0, 1.5]
-    found = Evasion(vehicle=Vehicle(lidar_position=(0.0, 0.0, 0.5)))._around(np.array([rotor, above]), rolled)
+    still = np.zeros((1, 3))
+    seen = Situation(np.array([[rotor, above]]), still, still, np.full(1, LEVEL), np.zeros(1))
+    found = Evasion(vehicle=Vehicle(lidar_position=(0.0, 0.0, 0.5)))._around(seen, 0, rolled)
     assert found == pytest.approx(np.array([[1.0, -2.0, 0.0]]), abs=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Where vehicles would meet moving objects, direction by direction, if these fly straight on."""
+"""How near vehicles would come to moving objects, velocity by velocity."""
 
 import numpy as np
 
@@ -61,6 +61,7 @@ def _apart(gap: np.ndarray) -> np.ndarray:
 
 
 def _nearness(apart: np.ndarray) -> np.ndarray:
+    """:func:`nearness` of what :func:`_apart` gives."""
     share = TIMES.astype(apart.dtype) / TIMES.astype(apart.dtype)[-1]
     return np.asarray((1.2 - 0.2 * share - apart).clip(0.0) * (1 - 0.5 * share))
 
