@@ -4,8 +4,9 @@
 
 Among planes, a collision counts as one with a plane if the middles of both are within 1.3 m at the end. A plane was in
 view in a scan if some of its height was between 15° below and 15° above the LiDAR's horizontal plane, whatever stood in
-between. Time-outs are divided by how far the vehicle moved in its last ten seconds. The tasks are the first ones of the
-suite's row, but planes move with the steps of all vehicles, so that other flights meet other planes.
+between. It dives or climbs if it did so at any time in the last two seconds. Time-outs are divided by how far the
+vehicle moved in its last ten seconds. The tasks are the first ones of the suite's row, but planes move with the steps
+of all vehicles, so that other flights meet other planes.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ LATELY = 20  # steps before a collision
 SCANS = 3  # after which the sight of motion calls an object moving
 LAST = 100  # steps before a time-out
 STILL = 3.0  # m
+STEEP = 0.1  # m/s up or down, above which a plane is not level
 
 
 class Step(NamedTuple):
@@ -43,6 +45,7 @@ class Step(NamedTuple):
     position: np.ndarray  # [3], m
     distances: np.ndarray  # [K] m to the middles of planes
     in_view: np.ndarray  # [K], which of them the LiDAR can see if nothing stands between
+    is_steep: np.ndarray  # [K], which of them dive or climb
 
 
 def look(env: NavigationEnv, vehicle: int) -> Step:
@@ -53,7 +56,9 @@ def look(env: NavigationEnv, vehicle: int) -> Step:
     distances = np.linalg.norm(ways, axis=-1)
     elevation = np.abs(np.arctan2(seen[:, 2], np.linalg.norm(seen[:, :2], axis=-1)))
     height = np.abs(env.plane_mesh.vertices[:, 2]).max()  # m above and below a plane's middle
-    return Step(simulation.position[vehicle].copy(), distances, elevation <= VIEW + np.arctan2(height, distances))
+    in_view = elevation <= VIEW + np.arctan2(height, distances)
+    is_steep = np.abs(env.traffic.velocities()[:, 2]) > STEEP
+    return Step(simulation.position[vehicle].copy(), distances, in_view, is_steep)
 
 
 def kind(ending: str, steps: Sequence[Step]) -> str:
@@ -65,8 +70,10 @@ def kind(ending: str, steps: Sequence[Step]) -> str:
     if not last_distances.size or last_distances.min() > TOUCH:
         return "obstacle"
     plane = int(last_distances.argmin())
-    scans = sum(bool(step.in_view[plane]) for step in list(steps)[-LATELY:-1])
-    return "plane, in view for three scans or more" if scans >= SCANS else "plane, hardly ever in view"
+    lately = list(steps)[-LATELY:]
+    flies = "dives or climbs" if any(step.is_steep[plane] for step in lately) else "flies level"
+    scans = sum(bool(step.in_view[plane]) for step in lately[:-1])
+    return f"plane that {flies}, " + ("in view for three scans or more" if scans >= SCANS else "hardly ever in view")
 
 
 def failures(policy: str, row: str, episodes: int, vehicles: int, guards: str) -> Iterator[tuple[int, str]]:

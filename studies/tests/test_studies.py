@@ -63,20 +63,24 @@ def test_an_exported_policy_flies_by_packets_and_mavlink(said: Said, tmp_path: P
 def test_failures_are_named_by_their_kind(said: Said, tmp_path: Path) -> None:
     study = runpy.run_path(str(STUDIES / "failure_kinds.py"))
 
-    def steps(xs: Sequence[float], distance: float = 9.0, in_view: Sequence[bool] = (True,)) -> list[Any]:
-        seen = itertools.cycle(in_view)
-        return [
-            study["Step"](np.array([x, 0.0, 3.0]), np.array([9.0, distance]), np.array([1, next(seen)])) for x in xs
-        ]
+    def steps(
+        xs: Sequence[float], distance: float = 9.0, in_view: Sequence[bool] = (True,), steep: Sequence[bool] = (False,)
+    ) -> list[Any]:
+        seen, dives = itertools.cycle(in_view), itertools.cycle(steep)
+        told = [(np.array([9.0, distance]), np.array([1, next(seen)]), np.array([1, next(dives)])) for _ in xs]
+        return [study["Step"](np.array([x, 0.0, 3.0]), *each) for x, each in zip(xs, told, strict=True)]
 
     kind, along = study["kind"], np.arange(50) / 10
     assert kind("timed_out", steps(along)) == "time-out, on its way"
     assert kind("timed_out", steps(along / 2)) == "time-out, within 3 m"
     assert kind("collided", steps(along)) == "obstacle"
-    assert kind("collided", [study["Step"](np.zeros(3), np.zeros(0), np.zeros(0, bool))]) == "obstacle"
-    assert kind("collided", steps(along, 1.2)) == "plane, in view for three scans or more"
+    assert kind("collided", [study["Step"](np.zeros(3), np.zeros(0), *np.zeros((2, 0), bool))]) == "obstacle"
+    assert kind("collided", steps(along, 1.2)) == "plane that flies level, in view for three scans or more"
     hardly = [*[False] * 46, True, True, False, True]  # the last one is when they touch
-    assert kind("collided", steps(along, 1.2, hardly)) == "plane, hardly ever in view"
+    assert kind("collided", steps(along, 1.2, hardly)) == "plane that flies level, hardly ever in view"
+    before, lately = ([*[False] * n, True, *[False] * (49 - n)] for n in (29, 30))
+    assert kind("collided", steps(along, 1.2, steep=before)).startswith("plane that flies level")
+    assert kind("collided", steps(along, 1.2, steep=lately)).startswith("plane that dives or climbs")
 
     file = tmp_path / "found.json"
     told = said("failure_kinds", "busy", "--guards", "none", "--episodes", 2, "--vehicles", 2, "--output", file)

@@ -11,12 +11,12 @@ from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 SHARES = np.array([1.0, 0.5, 0.0], np.float32)  # of the speed that a direction would be flown at
 SLOWNESS, THREAT = 0.3, 3.0  # what standing costs, and a collision; chosen by hand
-# Costs of another velocity. A change by the velocity limit costs 1. All are chosen by hand.
-MEETING, LONG = 10.0, 3.0  # of coming near to a moving body: the nearest moment, and the mean of all
+# What another velocity costs, chosen by hand; a change by the velocity limit costs 1.
+MEETING_COST, NEAR_COST, HIT_COST = 10.0, 3.0, 10.0  # of a moving body, and of obstacles beside and in the way
+OUTSIDE_COST = 10.0  # of a metre beyond the altitudes in which one may fly
+LASTING = 3.0  # weight of the mean nearness to moving bodies beside its greatest
 NEAR, FAR = 0.15, 0.6  # m between hull and obstacle: a collision, and where it begins to cost
-BESIDE, AGAINST = 3.0, 10.0  # of flying near an obstacle, and into it
-SOON = 10  # steps of 0.1 s in which that is looked for
-OUTSIDE = 10.0  # of a metre beyond the altitudes in which one may fly
+OBSTACLE_STEPS = 10  # of 0.1 s, in which obstacles and altitudes count
 BLOCKS = 10  # in which velocities are looked at, the cheapest first
 STEEP = 0.7  # m/s up or down, from which a body is taken to climb or dive
 RISES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0], np.float32)  # upward velocities to fly instead, as shares of the limit
@@ -77,7 +77,7 @@ def risks(paths: np.ndarray, ways: np.ndarray) -> np.ndarray:
     if not len(ways):
         return np.zeros(len(paths))
     near = nearness(paths[:, None] - ways).max(1)
-    return np.asarray(near.max(-1) + LONG * near.mean(-1))
+    return np.asarray(near.max(-1) + LASTING * near.mean(-1))
 
 
 def possible_ways(objects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -157,12 +157,12 @@ def evaded_by_one(
     rising = np.column_stack([np.tile(planned[:2], (len(RISES), 1)), limit * RISES])
     tried = np.concatenate([planned[None], rising, limit * OTHERS])  # [C, 3]
     paths = predict_path(tried, velocity)  # [C, T, 3]
-    cost = np.linalg.norm(tried - planned, axis=-1) / limit + MEETING * risks(paths, ways)
+    cost = np.linalg.norm(tried - planned, axis=-1) / limit + MEETING_COST * risks(paths, ways)
     best, least = planned, np.inf
     for some in np.array_split(cost.argsort(kind="stable"), BLOCKS):
         if cost[some[0]] >= least:
             break
-        total = cost[some] + standing_costs(paths[some, :SOON], around, height, vehicle)
+        total = cost[some] + standing_costs(paths[some, :OBSTACLE_STEPS], around, height, vehicle)
         if total.min() < least:
             best, least = tried[some[total.argmin()]], total.min()
     return best
@@ -173,4 +173,4 @@ def standing_costs(paths: np.ndarray, points: np.ndarray, height: float, vehicle
     beside = hull_distances(points, paths, NEAR, vehicle.hull)
     close = ((FAR - beside) / (FAR - NEAR)).clip(0.0, 1.0).max(-1)
     off = off_altitudes(height + paths[..., 2], vehicle).max(-1)
-    return np.asarray(BESIDE * close + AGAINST * (beside < NEAR).any(-1) + OUTSIDE * off)
+    return np.asarray(NEAR_COST * close + HIT_COST * (beside < NEAR).any(-1) + OUTSIDE_COST * off)
