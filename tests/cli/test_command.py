@@ -67,11 +67,11 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     [
         (
             ["reward=bold", "reward.arrived_reward=100"],
-            "choose that one, or write +reward.arrived_reward=VALUE where the class of this one takes it.",
+            "choose one of them, or write +reward.arrived_reward=VALUE where the class of this one takes it.",
         ),
         (
             ["reward=traditional", "reward.boldness=2"],
-            "reward.boldness belongs to another choice of reward than the one made: choose that one",
+            "reward.boldness belongs to reward=bold: choose that one, or write +reward.boldness=VALUE where",
         ),
         (["reward=traditional", "reward.boldnes=2"], "There is no key 'reward.boldnes': did you mean reward.boldness?"),
         (["reward=bald"], "got 'bald': did you mean bold?"),
@@ -103,6 +103,7 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
             ["algo=sac", "algo.actor.log_scale=[1.0,2.0]"],
             "If the class of algo takes it, write +algo.actor.log_scale=VALUE.",
         ),
+        (["env.world.file=site.stl"], "env.world.file belongs to env=cloud or env=mesh: choose one of them, or write"),
         (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
         (
             ["perception.lidar.channels=32"],

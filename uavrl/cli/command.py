@@ -19,7 +19,7 @@ from omegaconf.errors import OmegaConfBaseException
 from uavrl import __version__
 from uavrl.cli import BEGAN
 from uavrl.cli.help import ABOUT, help_text
-from uavrl.cli.keys import check_choices, known_keys
+from uavrl.cli.keys import check_choices, choices_with, known_keys
 from uavrl.cli.logs import configure_logging
 from uavrl.config import conf_dir
 from uavrl.config.command_line import readable
@@ -131,7 +131,7 @@ def explained(error: Exception, name: str) -> str:
         if key == GUARDS:
             others = "give it to uavrl-train, uavrl-evaluate, uavrl-replay, uavrl-export or uavrl-fly"
             return f"{about.name} has no key 'guards': {others}."
-        return _no_such_key(key, known_keys(name, folders))
+        return _no_such_key(key, known_keys(name, folders), choices_with(key, folders))
     if first.startswith("Ambiguous value for argument '"):
         key, _, values = first.split("'")[1].partition("=")
         each = "or add -m to train with" if name == "config" else "and start the command once for"
@@ -144,12 +144,13 @@ def explained(error: Exception, name: str) -> str:
     return f"{first}: {reason}" if reason and reason not in first else first
 
 
-def _no_such_key(key: str, known: list[str]) -> str:
+def _no_such_key(key: str, known: list[str], choices: list[str]) -> str:
     """Why a key cannot be changed: another choice of its group has it, or there is none."""
     group = key.partition(".")[0]
     if key in known:
-        other = f"choose that one, or write +{key}=VALUE where the class of this one takes it."
-        return f"{key} belongs to another choice of {group} than the one made: {other}"
+        owner = " or ".join(choices) or f"another choice of {group} than the one made"
+        other = f"choose {'one of them' if len(choices) > 1 else 'that one'}"
+        return f"{key} belongs to {owner}: {other}, or write +{key}=VALUE where the class of this one takes it."
     place = key.rpartition(".")[0]
     beside = {each[len(place) + 1 :].partition(".")[0] for each in known if each.startswith(f"{place}.")}
     nested = place != group and beside

@@ -29,6 +29,13 @@ def known_keys(name: str, own: Sequence[Path] = ()) -> list[str]:
     return sorted(keys)
 
 
+def choices_with(key: str, own: Sequence[Path] = ()) -> list[str]:
+    """The choices of a group, as ``GROUP=NAME``, whose own yaml file holds a key; also in ``own`` folders."""
+    group = key.partition(".")[0]
+    files = [path for folder in (conf_dir(), *own) for path in sorted(folder.glob(f"{group}/*.yaml"))]
+    return [f"{group}={path.stem}" for path in files if key in {f"{group}.{each}" for each in _dotted(_of_group(path))}]
+
+
 def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -> None:
     """Refuses choices that a scheme or a learner contradicts, one of the user's folders too."""
     for row in ROWS:

@@ -21,6 +21,7 @@ from uavrl_onboard.mesh import Mesh
 log = logging.getLogger(__name__)
 MOST_TRIANGLES = 2_000_000
 AROUND = 20.0  # m around the part that is flown in from which triangles are kept: the LiDAR sees them
+PART = 100  # m, sides of the part that is proposed of a file that is too large
 LONGEST_EDGE = 10.0  # m, of the pieces of triangles that reach farther
 
 
@@ -98,10 +99,11 @@ class FileWorld(WorldRules):
         middle = (low + high) / 2 if self.centre is None else np.array(self.centre)
         if size[0] * size[1] * max(self.ceiling, 1.0) > LARGEST_PLACE:
             most = LARGEST_PLACE / max(self.ceiling, 1.0)
+            x, y = best_covered(surface[:, :2], PART)
             raise UavrlError(
                 f"{path} is {size[0]:,.0f} × {size[1]:,.0f} m, and at most {most:,.0f} m² are flown in under a ceiling "
-                f"of {self.ceiling:g} m: choose a part with env.world.size=[100,100] and "
-                f"env.world.centre=[{middle[0]:.0f},{middle[1]:.0f}]."
+                f"of {self.ceiling:g} m: choose a part. The {PART} × {PART} m that it covers best are "
+                f"env.world.size=[{PART},{PART}] env.world.centre=[{x:.0f},{y:.0f}]."
             )
         inside = (np.abs(surface[:, :2] - middle) <= np.array(size) / 2).all(1)
         if not inside.any():
@@ -117,10 +119,14 @@ class FileWorld(WorldRules):
                 f"{self.FEWER}, or choose a part with env.world.size and env.world.centre."
             )
         log.info(
-            "%s: %s triangles, %.1f × %.1f m; altitude 0 is at %.2f m of the file.",
+            "%s: %s triangles, %.1f × %.1f m around [%.1f,%.1f]; the file reaches from [%.1f,%.1f] to [%.1f,%.1f], and "
+            "altitude 0 is at %.2f m of it.",
             path.name,
             f"{len(corners):,}",
             *size,
+            *middle,
+            *low,
+            *high,
             floor,
         )
         return Scene([Solid(self.KIND, _mesh(corners))], size)
@@ -212,6 +218,31 @@ class CloudConfig(FileWorld):
                 f"{self.min_points}: enlarge env.world.voxel, or lower env.world.min_points."
             )
         return voxel_mesh(solid, self.voxel), (solid + 0.5) * self.voxel
+
+
+def best_covered(points: np.ndarray, side: int) -> np.ndarray:
+    """The middle of the square in which ``points [P, 2]`` cover most of the ground; of several, of the first.
+
+    Args:
+        points: On surfaces, seen from above, in m.
+        side: Of the square in m.
+
+    Examples:
+        A corridor of 300 m, and a yard at its end:
+
+        >>> x, y = np.mgrid[0:300, 0:4], np.mgrid[250:300, 0:50]
+        >>> best_covered(np.concatenate([x.reshape(2, -1).T, y.reshape(2, -1).T]), 50)
+        array([275.,  25.])
+    """
+    low, high = points.min(0), points.max(0)
+    cell = max(1.0, (high - low).max() / 1000)
+    seen = ((points - low) / cell).astype(int)
+    cells = max(round(side / cell), 1)
+    covered = np.zeros(np.maximum(seen.max(0) + 1, cells) + 1)
+    covered[tuple(seen.T + 1)] = 1.0
+    total = covered.cumsum(0).cumsum(1)
+    inside = total[cells:, cells:] - total[:-cells, cells:] - total[cells:, :-cells] + total[:-cells, :-cells]
+    return low + cell * (np.array(np.unravel_index(inside.argmax(), inside.shape)) + cells / 2)
 
 
 def _within(corners: np.ndarray, half: np.ndarray) -> np.ndarray:
