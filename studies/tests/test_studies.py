@@ -422,9 +422,10 @@ def test_a_sequential_comparison_is_right_about_recorded_policies(said: Said) ->
 
 
 def test_a_policy_flies_with_sensors_that_it_was_not_trained_with(said: Said, tmp_path: Path) -> None:
-    told = ("--episodes", 1, "--sensors", "rplidar", "--guards", "none", "--output", tmp_path / "sensors.json")
+    chosen = ("--worlds", "static", "--sensors", "rplidar", "--guards", "none")
+    told = ("--episodes", 1, *chosen, "--output", tmp_path / "sensors.json")
     table = said("sensors", *told)
-    assert re.search(r"^\| `rplidar` \| none \| 48 \| (100|0)\.0 \(", table, re.M)
+    assert re.search(r"^\| `static` \| `rplidar` \| none \| 48 \| (100|0)\.0 \(", table, re.M)
     (kept,) = json.loads((tmp_path / "sensors.json").read_text())
     assert (kept["policy"], kept["unseen_cells"], len(kept["outcomes"])) == ("best", 48, 1)
     assert said("sensors", *told) == table  # which it reads again

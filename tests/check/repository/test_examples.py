@@ -99,6 +99,17 @@ def test_success_and_time_are_drawn_against_the_limit_of_speed(tmp_path: Path) -
     assert picture.stat().st_size > 5_000
 
 
+def test_success_with_each_sensor_is_drawn_from_the_row_with_most_tasks(tmp_path: Path) -> None:
+    drawing = runpy.run_path(str(FIGURES / "sensors.py"))
+    row = {"world": "rooms", "sensor": "vlp16", "guards": "all", "episodes": 100, "success": {"rate": 0.9}}
+    cells = drawing["grid"]([row, row | {"episodes": 50, "success": {"rate": 0.1}}])
+    assert cells[0].tolist()[-1] == 90.0 and np.isfinite(cells).sum() == 1
+    file = tmp_path / "sensors.json"
+    file.write_text(json.dumps([row]))
+    said(FIGURES / "sensors.py", file, "--output", tmp_path / "sensors.png")
+    assert (tmp_path / "sensors.png").stat().st_size > 2_000
+
+
 def test_success_in_each_world_is_drawn_from_what_the_suite_wrote(tmp_path: Path) -> None:
     suites = ROOT / "docs/data/suite"
     picture = tmp_path / "worlds.png"
