@@ -14,6 +14,7 @@ from uavrl.envs.mapped_way import MappedWays
 from uavrl.envs.world import WorldConfig
 from uavrl.policies.baselines import StraightPolicy
 from uavrl.transforms import Guarded, NavigationState
+from uavrl_onboard.guards.map.wayfinder import Wayfinder
 from uavrl_onboard.vehicle import VEHICLE
 
 TRAPPED = WorldConfig(seeds=(200,), traps=3, obstacles=20)
@@ -74,7 +75,7 @@ def test_a_vehicle_without_a_new_scan_keeps_its_way() -> None:
 
 @pytest.mark.parametrize(("reach", "seen"), [(4.0, False), (12.0, True), (100.0, True)])
 def test_it_sees_as_far_as_the_lidar_reports(reach: float, seen: bool) -> None:
-    side = np.linspace(-3.0, 1.0, 80)
+    side = np.linspace(-9.0, 6.0, 200)
     wall = np.stack(np.broadcast_arrays(7.0, side, -0.1), -1).astype(np.float32)
     ((_, left),) = MappedWays(1, VEHICLE, reach).directions(hovering(wall), BOTH[:1])
     assert (left > 0.05) == seen, "past the wall's near end"
@@ -102,13 +103,18 @@ def test_what_else_is_emitted_stays_bit_by_bit() -> None:
     assert plain["next", "done"].any(1).all(), "episodes began meanwhile"
 
 
-def test_it_is_the_heading_that_the_guard_turns() -> None:
+def test_it_is_the_heading_that_the_guard_turns_or_that_to_the_goal() -> None:
     """One by what the environment emits in single precision, the other by its own numbers."""
     found = flown("mapped_way", guarded=True)
-    off = (angle(found["mapped_way"]) - found["heading_deg"] + 180).remainder(360) - 180
-    assert off.abs().median() < 1e-3 and (off.abs() < 1.0).float().mean() > 0.95
-    turned = (found["heading_deg"] - found["goal_heading_deg"] + 180).remainder(360) - 180
-    assert (turned.abs() > 5).float().mean() > 0.1, "the map turns it where something stands in the way"
+    led, goal = found["heading_deg"], found["goal_heading_deg"]
+    off, beside, turned = (
+        ((one - other + 180).remainder(360) - 180).abs()
+        for one, other in ((angle(found["mapped_way"]), led), (angle(found["mapped_way"]), goal), (led, goal))
+    )
+    nearest = torch.minimum(off, beside)
+    assert nearest.median() < 1e-3 and (nearest < 1.0).float().mean() > 0.95
+    assert ((turned > 5) & (off < 1.0)).float().mean() > 0.02, "the map turns it where a dead end is ahead"
+    assert ((turned > 5) & (beside < 1.0)).float().mean() > 0.02, "but not for single obstacles"
 
 
 def test_the_blind_are_led_straight_to_the_goal() -> None:
@@ -116,3 +122,20 @@ def test_the_blind_are_led_straight_to_the_goal() -> None:
     found = env.rollout(3, break_when_any_done=False)["next"]
     torch.testing.assert_close(angle(found["mapped_way"]), found["heading_deg"], atol=1e-3, rtol=0)
     env.close()
+
+
+def test_small_detours_are_left_to_the_vehicle_and_a_way_out_is_followed_to_its_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ways = MappedWays(1, VEHICLE, reach=4.0)
+    turns, detours = iter((0.5, 0.5, 0.5, 0.5, 0.5)), iter((2.0, 4.0, 1.0, 0.4, 2.0))
+    monkeypatch.setattr(Wayfinder, "lead", lambda self, seen: np.array([next(turns)]))
+    monkeypatch.setattr(Wayfinder, "detours", property(lambda self: np.array([next(detours)])))
+    followed = [bool(ways.directions(hovering(NOTHING), BOTH[:1])[0, 1] > 0.1) for _ in range(5)]
+    assert followed == [False, True, True, False, False]
+
+
+def test_a_post_ahead_does_not_turn_the_heading() -> None:
+    post = np.array([[2.0, 0.1, -0.1], [2.0, 0.2, -0.1]], np.float32)
+    ahead = MappedWays(1, VEHICLE, reach=4.0).directions(hovering(post), BOTH[:1])
+    np.testing.assert_allclose(ahead, [[1.0, 0.0]], atol=1e-9)

@@ -42,9 +42,9 @@ QUANTITIES: Mapping[str, Quantity] = {
 """``clearance``: m from the hull to the nearest thing, at most 5. ``planes``: of each of the three nearest within 20 m,
 its direction times ``1 - distance / 20``, and its velocity over 4 m/s; zeros for an absent one. ``wind``: m/s, without
 gusts. ``way``: the unit vector, forward and left, to the point 2 to 2.8 m ahead on the shortest path to the goal around
-static obstacles, at the flight level. ``mapped_way``: the unit vector, forward and left, along the quickest way through
-a map of what the LiDAR has shown in the episode, as the guard ``map`` finds it. The axes are forward, left and up of
-the vehicle, rotated by its yaw only."""
+static obstacles, at the flight level. ``mapped_way``: the unit vector, forward and left, to the goal, or along the
+quickest way through a map of what the LiDAR has shown in the episode while that is a detour of some metres
+(:mod:`uavrl.envs.mapped_way`). The axes are forward, left and up of the vehicle, rotated by its yaw only."""
 
 
 def privileged(

@@ -22,10 +22,10 @@ CAUTION, HEADWAY = 0.6, 0.7  # of vfh_headway (conf/demonstrator), where cells t
 
 
 class MappedVFH(VectorFieldHistogram):
-    """A vector field histogram that heads along the quickest way through what the LiDAR has shown in the episode.
+    """A vector field histogram that heads out of dead ends, along a way through what the LiDAR has shown in the episode.
 
-    It therefore leaves dead ends once it has seen them. It is a teacher for policies with a memory: it knows nothing
-    that its own episode has not shown.
+    Elsewhere it heads for the goal. It is a teacher for policies with a memory: it knows nothing that its own episode
+    has not shown.
 
     The environment emits what it reads (``mapped_way`` of :data:`uavrl.envs.privileged.QUANTITIES`).
 

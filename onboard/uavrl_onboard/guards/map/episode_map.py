@@ -31,7 +31,7 @@ class EpisodeMap:
         self.cell, self.reach, self.radius = cell, reach, radius
         self.occupied = np.zeros((0, 2), np.int64)
         self.since = np.zeros(0)  # s, when each of them was first seen
-        self._detour = 0.0  # m, of the last way
+        self.detour = 0.0  # m, by which the last way counts more than one in free air; 0 where there is none
 
     def look(self, points: np.ndarray, place: np.ndarray, now: float = 0.0) -> None:
         """Take in what is seen at the flight level.
@@ -84,7 +84,7 @@ class EpisodeMap:
 
     def route(self, place: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
         """The quickest way, ``[L, 2]`` m; None for none."""
-        way, self._detour = find_route(self.occupied, place, goal, self.cell, self.radius, self._detour)
+        way, self.detour = find_route(self.occupied, place, goal, self.cell, self.radius, self.detour)
         return way
 
 

@@ -66,6 +66,11 @@ class Wayfinder:
             self._goals[one] = GoalFinder(self.reach)
         self._begun[which], self._places[which] = False, 0.0
 
+    @property
+    def detours(self) -> np.ndarray:
+        """By how many metres the last ways count more than ways in free air, ``[N]``; 0 where there is none."""
+        return np.array([navigator.known.detour for navigator in self.navigators])
+
     def lead(self, seen: Situation) -> np.ndarray:
         """Take in scans without what moves; return how far off the goals' directions the ways lead, ``[N]`` rad.
 
