@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol, cast
+from functools import partial
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -114,13 +115,27 @@ def check_model(model: str | None) -> str:
     return model
 
 
-def make_decoder(model: str) -> Callable[[list[bytes]], np.ndarray]:
-    """What makes points of packets: `velodyne-decoder`, or ours where it is not installed and the model is a VLP-16."""
+class Decoder(NamedTuple):
+    """What makes points ``float32 [P, 3]`` of the packets of a turn, in two steps.
+
+    A packet is unpacked when it arrives, so that little is left to do when the turn ends.
+    """
+
+    unpack: Callable[[bytes], Any]
+    points: Callable[[list[Any]], np.ndarray]
+
+    def __call__(self, packets: Iterable[bytes]) -> np.ndarray:
+        """Do both."""
+        return self.points([self.unpack(packet) for packet in packets])
+
+
+def make_decoder(model: str) -> Decoder:
+    """Return the decoder of `velodyne-decoder`, or ours where that is not installed and the model is a VLP-16."""
     try:
         velodyne = needed("velodyne_decoder", f"Decoding the packets of a {model}", "lidar")
     except UavrlError:
         if model == "VLP16":
-            return decode_vlp16
+            return Decoder(bytes, decode_vlp16)
         raise
     kind = velodyne.Model[model]
     # The bundled calibration of a VLP-16 lets all beams leave one point, as in the simulator.
@@ -129,11 +144,11 @@ def make_decoder(model: str) -> Callable[[list[bytes]], np.ndarray]:
         velodyne.Config(model=kind, calibration=calibration, min_range=NEAREST_RETURN, max_range=1000.0)
     )
 
-    def decode(packets: list[bytes]) -> np.ndarray:
-        listed = velodyne.PacketVector([velodyne.VelodynePacket(0.0, packet) for packet in packets])
-        return np.ascontiguousarray(decoder.decode(listed)[1][:, :3], dtype=np.float32)
+    def points(packets: list[Any]) -> np.ndarray:
+        found = decoder.decode(velodyne.PacketVector(packets))[1]
+        return np.ascontiguousarray(found[:, :3].T, dtype=np.float32).T  # coordinate by coordinate, as they are read
 
-    return decode
+    return Decoder(partial(velodyne.VelodynePacket, 0.0), points)
 
 
 class ScanAssembler:
@@ -165,14 +180,16 @@ class ScanAssembler:
     def __init__(self, model: str | None, product: int | None = None) -> None:
         self.model = check_model(model)
         self.product = PRODUCTS[self.model] if product is None else product
+        self._own = bytes([PRODUCTS[self.model]])  # the product byte that the decoder expects
         self.skipped, self.port = Skipped(), PORT
         self.products = set[int]()
         self.heard = False
         self._decode = make_decoder(self.model)
-        self._single = self._decode is decode_vlp16
+        self._single = self._decode.points is decode_vlp16
         self._newest: int | None = None  # the latest packet's time in microseconds
         self._azimuth = 0  # of its last block
-        self._packets: list[tuple[int, bytes]] = []  # of the open turn, each with its age since the turn's first one
+        # Of the open turn, each as it came and unpacked, behind its age since the turn's first one.
+        self._packets: list[tuple[int, bytes, Any]] = []
         self._covered, self._advance, self._begun = 0, 0, 0  # angles of the open turn and of its last packet, a time
 
     def is_data(self, packet: bytes) -> bool:
@@ -204,7 +221,7 @@ class ScanAssembler:
         self._covered += self._advance
         self._newest, self._azimuth = time, last
         age = (time - self._begun) % HOUR
-        self._packets.append((age, packet))
+        self._keep(age, packet)
         if self._covered >= FULL_TURN:
             return self._close(stamp)
         if age > LONGEST_TURN or len(self._packets) >= MOST_PACKETS:
@@ -248,16 +265,21 @@ class ScanAssembler:
         self.skipped.lost = max(self.skipped.lost - 1, 0)
         age = (time - self._begun + HOUR // 2) % HOUR - HOUR // 2
         if self._packets and age >= 0:
-            self._packets.append((age, packet))
+            self._keep(age, packet)
+
+    def _keep(self, age: int, packet: bytes) -> None:
+        """Adds a packet to the open turn, as one of the model's product."""
+        packet = packet[:-1] + self._own
+        self._packets.append((age, packet, self._decode.unpack(packet)))
 
     def _abandon(self) -> None:
         self.skipped.incomplete += bool(self._packets)
         self._packets.clear()
 
     def _close(self, stamp: float) -> Scan | None:
-        expected = bytes([PRODUCTS[self.model]])
-        ordered = dict.fromkeys(sorted(self._packets, key=lambda each: each[0]))  # a packet that came twice counts once
-        packets = [packet[:-1] + expected for _, packet in ordered]
+        ordered = sorted(self._packets, key=lambda each: each[0])
+        unpacked = {(age, packet): each for age, packet, each in ordered}  # a packet that came twice counts once
+        packets = [packet for _, packet in unpacked]
         self._packets.clear()
         blocks = np.frombuffer(b"".join(packets), PACKET)["blocks"]
         azimuth = blocks["azimuth"].astype(np.int64)
@@ -268,7 +290,8 @@ class ScanAssembler:
         hit = blocks["returns"]["distance"] > 0
         if packets[0][-2] == DUAL:  # two blocks tell of the same rays
             hit = hit[:, ::2] | hit[:, 1::2]
-        return Scan(stamp, self._decode(packets), hit.size, hit.size - int(hit.sum()), len(packets))
+        points = self._decode.points(list(unpacked.values()))
+        return Scan(stamp, points, hit.size, hit.size - int(hit.sum()), len(packets))
 
     def trouble(self) -> str:
         """Why no scan came out, as a sentence's second half."""
