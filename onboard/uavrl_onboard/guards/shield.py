@@ -98,23 +98,29 @@ class Shield:
             tilt: roll and pitch in rad.
             velocity: at which the vehicle flies now, as ``asked``.
         """
-        asked, velocity = np.asarray(asked, float), np.asarray(velocity, float)
         if cloud.ndim != 2 or cloud.shape[1] != 3:
             raise UavrlError(f"A shield takes a cloud [points, 3], got {list(cloud.shape)}.")
+        return self.bend(asked, cloud[is_return(cloud, within(self._sight))], tilt, velocity)
+
+    def bend(
+        self, asked: np.ndarray, returns: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
+    ) -> np.ndarray:
+        """Do what a call does with the ``returns [M, 3]`` within sight alone."""
+        asked, velocity = np.asarray(asked, float), np.asarray(velocity, float)
         if not np.isfinite([*asked, *tilt, *velocity]).all():
             raise UavrlError(
                 f"A shield needs finite numbers, got {asked} m/s asked for, roll and pitch {tuple(tilt)} rad, and a "
                 f"velocity of {velocity} m/s."
             )
-        towards, speeds = self.bounds(cloud, tilt, velocity)
+        towards, speeds = self.bounds(returns, tilt, velocity)
         found = keep_within(asked[None], towards, speeds[None])[0]
         return found * min(1.0, self.vehicle.velocity_limit / max(np.abs(found).max(), 1e-9))
 
     def bounds(
-        self, cloud: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
+        self, returns: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors ``[M, 3]`` in the yaw-aligned frame, and how fast one may fly there: ``[M]`` in m/s."""
-        x, y, z = np.ascontiguousarray(self._points(cloud, tilt).T)  # coordinate by coordinate: that is faster
+        x, y, z = np.ascontiguousarray(self._points(returns, tilt).T)  # coordinate by coordinate: that is faster
         kept = self._kept
         stretch = kept / (self.vehicle.hull[1] + self._margin)  # of heights makes hull and margin a ball
         high = z * stretch
@@ -129,11 +135,10 @@ class Shield:
         chosen = _nearest_of_each_direction(towards, gaps)
         return towards[chosen], closing_speeds(gaps[chosen].clip(min=0.0), self.time, self.vehicle.velocity_limit)
 
-    def _points(self, cloud: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
-        """The returns within sight and outside the hull, from its middle, in level axes: ``[M, 3]`` in m."""
+    def _points(self, returns: np.ndarray, tilt: tuple[float, float]) -> np.ndarray:
+        """The returns outside the hull, from its middle, in level axes: ``[M, 3]`` in m."""
         level = body_to_level(np.array([[*tilt, 0.0]]))[0]
-        points = np.asarray(cloud[is_return(cloud, within(self._sight))], float)
-        points = points + np.array([0.0, 0.0, self.vehicle.lidar_above])
+        points = returns + np.array([0.0, 0.0, self.vehicle.lidar_above])
         return np.asarray(points[~is_inside(points, self.vehicle.hull)] @ level.T)
 
 
@@ -150,7 +155,7 @@ class Shields(Shield):
         """Return the velocities ``[N, 3]`` that the shield allows, in m/s: forward, left and up."""
         own = world_to_yaw(seen.velocities, seen.attitudes[:, 2])
         allowed = [
-            self(wanted, seen.standing(one, self._sight), (seen.attitudes[one, 0], seen.attitudes[one, 1]), own[one])
+            self.bend(wanted, seen.standing(one, self._sight), tuple(seen.attitudes[one, :2].tolist()), own[one])
             for one, wanted in enumerate(velocities)
         ]
         return np.array(allowed).reshape(-1, 3)

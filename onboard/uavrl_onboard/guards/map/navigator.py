@@ -97,17 +97,17 @@ class Navigator:
                 ``MotionSight`` reports them. Their points are not in ``cloud``;
                 cells that they left before they were known to move are forgotten.
         """
-        return self.lead(lambda: cloud, attitude, place, goal, bodies)
+        return self.lead(lambda: cloud[is_return(cloud, within(self.sight))], attitude, place, goal, bodies)
 
     def lead(
         self,
-        cloud: Callable[[], np.ndarray],
+        returns: Callable[[], np.ndarray],
         attitude: np.ndarray,
         place: np.ndarray,
         goal: np.ndarray,
         bodies: np.ndarray | None = None,
     ) -> float:
-        """Do what :meth:`look` does; ask for the scan, which takes time, only where it is entered into the map."""
+        """Do what :meth:`look` does; ask for the returns within sight only where they are entered into the map."""
         if not np.isfinite([*attitude, *place]).all() or np.abs(place).max() > FARTHEST:
             return 0.0
         level = np.array(place[:2], np.float64)  # its own: a caller may move its place on in the same array
@@ -118,7 +118,7 @@ class Navigator:
         due, now = self._scans % EVERY == 0, self._scans * self.period
         self._last, self._scans = level, self._scans + 1
         if due:
-            self.known.look(self._seen(cloud(), attitude, place[2]) + level, level, now)
+            self.known.look(self._seen(returns(), attitude, place[2]) + level, level, now)
         if bodies is not None and len(bodies):
             ways = yaw_to_world(np.stack([bodies[:, :2], bodies[:, 3:5]], 1), float(attitude[2]))
             for (there, velocity), size in zip(ways, bodies[:, 6], strict=True):
@@ -133,11 +133,10 @@ class Navigator:
         (x, y), (goal_x, goal_y) = self._way[point] - level, goal - level
         return float((np.arctan2(y, x) - np.arctan2(goal_y, goal_x) + np.pi) % (2 * np.pi) - np.pi)
 
-    def _seen(self, cloud: np.ndarray, attitude: np.ndarray, altitude: float) -> np.ndarray:
-        """What a scan shows at the flight level, ``[K, 2]`` m from the vehicle, world axes."""
+    def _seen(self, returns: np.ndarray, attitude: np.ndarray, altitude: float) -> np.ndarray:
+        """What returns within sight show at the flight level, ``[K, 2]`` m from the vehicle, world axes."""
         rotation = body_to_world(attitude[None])[0]
         above = rotation @ np.array(self.sensor_position)
-        returns = cloud.take(np.flatnonzero(is_return(cloud, within(self.sight))), axis=0)
         rough = returns @ rotation[2].astype(returns.dtype) + (above[2] + altitude - self.flight_level)
         points = returns.take(np.flatnonzero(np.abs(rough) < LEVEL + ROUGH * self.sight), axis=0) @ rotation.T + above
         return points[np.abs(points[:, 2] + altitude - self.flight_level) < LEVEL, :2]
