@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -57,7 +58,8 @@ def within(farthest: float) -> tuple[float, float]:
     return NEAREST_RETURN**2, farthest**2
 
 
-class Columns(NamedTuple):
+@dataclass(frozen=True)
+class Columns:
     """The returns of a scan, coordinate by coordinate, and the squares of their ranges.
 
     Several look at different parts of one scan. Misses are left out once for all, and each coordinate is in one piece,
@@ -82,6 +84,11 @@ class Columns(NamedTuple):
         if len(kept) < len(squared):
             points, squared = np.stack([axis.take(kept) for axis in points]), squared.take(kept)
         return cls(points, squared)
+
+    @cached_property
+    def azimuths(self) -> np.ndarray:
+        """Azimuths to the right of straight ahead, ``[M]`` in rad in [-π, π]."""
+        return np.asarray(np.arctan2(-self.points[1], self.points[0]))
 
     def within(self, farthest: float) -> np.ndarray:
         """Return the places of the returns nearer than ``farthest`` metres, ``[K]``."""
@@ -149,10 +156,10 @@ def is_inside(points: np.ndarray, hull: Hull = VEHICLE.hull) -> np.ndarray:
         >>> is_inside(np.array([[0.3, 0.0, 0.1], [0.3, 0.0, 0.2]])).tolist()
         [True, False]
     """
-    beside = np.abs(points[:, 2]) < hull[1]
-    if beside.any():
-        beside &= np.hypot(points[:, 0], points[:, 1]) < hull[0]
-    return beside
+    inside = np.abs(points[:, 2]) < hull[1]
+    beside = np.flatnonzero(inside)
+    inside[beside] = np.hypot(points[beside, 0], points[beside, 1]) < hull[0]
+    return inside
 
 
 def off_altitudes(off: np.ndarray, vehicle: Vehicle = VEHICLE) -> np.ndarray:

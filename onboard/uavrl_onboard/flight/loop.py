@@ -20,6 +20,7 @@ from uavrl_onboard.flight.memory import keep_memory
 from uavrl_onboard.flight.plausible import Implausible, PoseCheck
 from uavrl_onboard.flight.safety import ZEROS, Cycle, Reason, SafetyLayer, SafetyState
 from uavrl_onboard.flight.scan_motion import ScanMotion
+from uavrl_onboard.geometry import Columns
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.lidar.coverage import Coverage, Doubt
@@ -128,11 +129,13 @@ class Flight:
         if control.control is not self._control:
             _logger.info("Vehicle: %s (%s)", control.control, control.sentence)
         self._control = control.control
-        implausible = self._check(scan, pose)
-        if scan is not None:
+        returns = None if scan is None else Columns.of(scan.points)
+        implausible = self._check(returns, pose)
+        if scan is not None and returns is not None:
             if self._box is not None:
                 scan = replace(scan, points=without_vehicle(scan.points, *self._box))
-            self._scan_stamp, self._action = scan.stamp, self._act(scan, pose, now)
+                returns = Columns.of(scan.points)
+            self._scan_stamp, self._action = scan.stamp, self._act(scan, returns, pose, now)
         distance = self._distance(pose)
         at_goal = distance is not None and distance <= self._radius
         action = np.zeros(4) if at_goal or self.arrived is not None else self._action
@@ -154,7 +157,7 @@ class Flight:
         doubt = None if self.doubt is None or self.doubt.certain else self.doubt.sentence
         return FlightCycle(now, scan, cells, pose, distance, action, control, status, latency, arrived, turn, doubt)
 
-    def _check(self, scan: Scan | None, pose: Pose | None) -> Implausible | None:
+    def _check(self, returns: Columns | None, pose: Pose | None) -> Implausible | None:
         """What is implausible about the pose, or about the latest scans."""
         implausible = self._poses.look(pose)
         if implausible is not None and implausible.starts_anew:
@@ -162,8 +165,8 @@ class Flight:
                 _logger.warning("Pose: %s: the policy starts anew", implausible.sentence)  # whatever else is wrong now
             self._jumped = -math.inf if pose is None else pose.stamp
             self._start_anew()
-        if scan is not None:
-            self.doubt = self._coverage.add(scan.points, None if pose is None else pose.yaw)
+        if returns is not None:
+            self.doubt = self._coverage.look(returns, None if pose is None else pose.yaw)
         if implausible is None and self.doubt is not None and self.doubt.certain:
             return Implausible(Reason(self.doubt.kind), self.doubt.sentence)
         if implausible is None and self.disagreement is not None:
@@ -177,7 +180,7 @@ class Flight:
         self._motion.start_anew()
         self._guards.reset()
 
-    def _act(self, scan: Scan, pose: Pose | None, now: float) -> np.ndarray | None:
+    def _act(self, scan: Scan, returns: Columns, pose: Pose | None, now: float) -> np.ndarray | None:
         """The policy's action, or ``None`` where it can give none."""
         if self._state not in _FLIES or now - self._acted > _FORGOTTEN * self.period:
             self._policy.reset()
@@ -189,7 +192,7 @@ class Flight:
         read = to_goal(pose, self.goal)
         elapsed = None if self._read_stamp is None or scan.stamp <= self._read_stamp else scan.stamp - self._read_stamp
         try:
-            turn = float(self._guards.lead(self._situation(scan, pose, read["heading_deg"], elapsed))[0])
+            turn = float(self._guards.lead(self._situation(scan, returns, pose, read["heading_deg"], elapsed))[0])
             self._turn = turn if "map" in self._guards.guards else None
             heading = (read["heading_deg"] + math.degrees(turn)) % 360.0
             told = (read["altitude"], heading, read["elevation_deg"], pose.velocity, pose.attitude, elapsed)
@@ -203,11 +206,13 @@ class Flight:
         self._acted, self._read_stamp = now, scan.stamp
         return action
 
-    def _situation(self, scan: Scan, pose: Pose, heading_deg: float, elapsed: float | None) -> Situation:
+    def _situation(
+        self, scan: Scan, returns: Columns, pose: Pose, heading_deg: float, elapsed: float | None
+    ) -> Situation:
         """What the guards see."""
         own = np.array([pose.velocity]), np.array([pose.attitude]), np.array([pose.position[2]])
-        heading, place = np.radians([heading_deg]), np.array([pose.position])
-        return Situation(scan.points[None], *own, heading, elapsed, place, np.array([self.goal[:2]]))
+        heading, place, goal = np.radians([heading_deg]), np.array([pose.position]), np.array([self.goal[:2]])
+        return Situation(scan.points[None], *own, heading, elapsed, place, goal, returns={0: returns})
 
     def _distance(self, pose: Pose | None) -> float | None:
         """How far the goal is, horizontally, in m."""

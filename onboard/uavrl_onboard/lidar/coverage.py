@@ -42,6 +42,7 @@ _SEEN_BEFORE = 8  # scans in a row in which a sector had returns before it lost 
 _NEAR = 0.5  # of the farthest return: what was nearer than that has not gone out of a driver's range
 _NEAR_SHARE = 0.25  # of a sector that must have been so near
 _COARSE = 5  # degrees of the directions in which returns are counted
+_ROUGH = 1e-3  # degrees by which an azimuth in single precision may be off, and more
 
 
 class Doubt(NamedTuple):
@@ -94,7 +95,10 @@ class Coverage:
             points: ``[P, 3]`` in the sensor frame, m.
             yaw: of the vehicle, rad; None where nobody says.
         """
-        columns = Columns.of(points)
+        return self.look(Columns.of(points), yaw)
+
+    def look(self, columns: Columns, yaw: float | None = None) -> Doubt | None:
+        """Do what :meth:`add` does with the returns of a scan."""
         self._empty = 0 if columns.squared.size else self._empty + 1
         if self._empty >= EMPTY:
             cause = "is the sensor covered, its laser off, or its driver's range too short?"
@@ -105,17 +109,16 @@ class Coverage:
         self._odd = 0 if odd is None else self._odd + 1
         if odd is not None and self._odd >= _ODD:
             return Doubt("odd_ranges", odd, True)
-        self._count(columns.points)
+        self._count(columns)
         if yaw is not None and math.isfinite(yaw):
             self._first_yaw = yaw if self._first_yaw is None else self._first_yaw
             self._turned = max(self._turned, abs(math.remainder(yaw - self._first_yaw, math.tau)))
         return self._lost() or self._parts() or self._window()
 
-    def _count(self, points: np.ndarray) -> None:
-        """Take in the returns ``[3, M]``."""
-        x, y = points[:2].astype(np.float64)
-        degree = np.floor(np.degrees(np.arctan2(y, x))).astype(np.int64)
-        degree += 360 * (degree < 0)
+    def _count(self, columns: Columns) -> None:
+        """Take in the returns."""
+        degree = _degrees(columns)
+        x, y = columns.points[:2].astype(np.float64)
         far = x * x + y * y  # squared
         least = np.full(360, np.inf)
         np.minimum.at(least, degree, far)
@@ -178,6 +181,20 @@ class Coverage:
         where = f"no return has ever come {_between(start, length)}"
         cause = "does the driver's window cut it off?"
         return Doubt("half_scan", f"{where}: {cause if certain else f'is nothing in range there, or {cause}'}", certain)
+
+
+def _degrees(columns: Columns) -> np.ndarray:
+    """Return in which degree to the left each return lies, ``int [M]`` in [0, 360).
+
+    Most azimuths say so in single precision, too; only those near a border are computed in double precision.
+    """
+    rough = columns.azimuths * -math.degrees(1.0)  # which are to the right
+    degree = np.floor(rough).astype(np.int64)
+    close = np.flatnonzero(np.abs(rough - np.rint(rough)) < _ROUGH)
+    x, y = columns.points[:2].take(close, axis=1).astype(np.float64)
+    degree[close] = np.floor(np.degrees(np.arctan2(y, x))).astype(np.int64)
+    degree += 360 * (degree < 0)
+    return degree
 
 
 def _differ(squared: np.ndarray) -> bool:

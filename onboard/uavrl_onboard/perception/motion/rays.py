@@ -41,17 +41,15 @@ def far_ray_indices(points: np.ndarray) -> np.ndarray:
 
 def far_rays_of(columns: Columns) -> np.ndarray:
     """Of the returns of a scan, the places of those that count, ``[Q]``."""
-    x, y, _ = columns.points
-    azimuth = np.arctan2(-y, x)
-    azimuth += azimuth.dtype.type(2.0 * np.pi) * (azimuth < 0)  # and of -0 it makes 0
+    azimuth = columns.azimuths
+    azimuth = azimuth + azimuth.dtype.type(2.0 * np.pi) * (azimuth < 0)  # and of -0 it makes 0
     cycle = np.floor(azimuth / AZIMUTH_STEP - FIRST).astype(np.int32)
     sector = (cycle + FAR_EVERY // 2) // FAR_EVERY
-    off = np.abs(cycle - FAR_EVERY * sector)
-    kept = np.flatnonzero(off == 0)
+    kept = np.flatnonzero(cycle == FAR_EVERY * sector)
     count = sector.max(initial=0) + 1
-    are_hit, have_any = (np.count_nonzero(np.bincount(each, minlength=count)) for each in (sector.take(kept), sector))
-    if are_hit < FINE * have_any:
-        nearest = np.full(count, FAR_EVERY, np.int32)
+    are_hit = np.count_nonzero(np.bincount(sector.take(kept), minlength=count))
+    if are_hit < FINE * count and are_hit < FINE * np.count_nonzero(np.bincount(sector, minlength=count)):
+        off, nearest = np.abs(cycle - FAR_EVERY * sector), np.full(count, FAR_EVERY, np.int32)
         np.minimum.at(nearest, sector, off)
         kept = np.flatnonzero(off == nearest.take(sector))
     return kept.take(np.argsort(azimuth.take(kept), kind="stable"))
