@@ -248,6 +248,9 @@ class MotionSight:
             reach = track.size / 2 + BESIDE
             at = nearby(scan.points.T, rotation.T @ (track.position - self._positions[sensor]), reach)
             around = nearby(looked_at, track.position, reach + LINK)
+            if own[around].all():  # nothing stands near it
+                moving[at] = True
+                continue
             world = scan.rows(at) @ rotation.T + self._positions[sensor]
             moving[at] |= own[around[cKDTree(looked_at[around]).query(world)[1]]]
         return moving

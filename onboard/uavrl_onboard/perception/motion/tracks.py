@@ -1,5 +1,6 @@
 """Bodies that move straight on, followed from scan to scan by a Kalman filter."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import InitVar, dataclass, field
 from itertools import islice
@@ -72,7 +73,7 @@ class Track:
     @property
     def is_confirmed(self) -> bool:
         """Whether it was seen often enough, moves, and does so as straight as a body would."""
-        speed = float(np.linalg.norm(self.velocity))
+        speed = math.sqrt(self.velocity @ self.velocity)
         known = self.seen >= CONFIRMED and self.fresh >= FRESH
         return known and SPEEDS[0] < speed < SPEEDS[1] and self.size < LARGEST and self.surprise < LARGEST_SURPRISE
 
@@ -154,16 +155,16 @@ def body_around(place: np.ndarray, points: np.ndarray, moving: np.ndarray) -> np
     A body in free air is all that hangs together with these, also what lies where the body itself was before. Where
     that is too much, as beside a wall, it is these alone.
     """
-    seeds = np.flatnonzero(moving)
-    seeds = seeds[squared_distances(points[seeds], place) < REACH**2]
-    if len(seeds) < 2:
-        return seeds[:0]
     squared = squared_distances(points, place)
     near = np.flatnonzero(squared < AROUND**2)
+    squared = squared.take(near)
+    seeds = moving.take(near) & (squared < REACH**2)
+    if np.count_nonzero(seeds) < 2:
+        return near[:0]
     if len(near) > MOST_RETURNS:
-        return seeds
-    whole = near[hanging_together(points[near], moving[near] & (squared[near] < REACH**2))]
-    return whole if squared[whole].max() < REACH_WHOLE**2 else seeds
+        return near[seeds]
+    whole = hanging_together(points[near], seeds)
+    return near[whole if squared[whole].max() < REACH_WHOLE**2 else seeds]
 
 
 def follow(
