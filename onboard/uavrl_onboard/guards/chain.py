@@ -71,6 +71,8 @@ class Guards:
         self.guards = {name: GUARDS[name](getattr(settings, name), vehicles, vehicle) for name in settings.names}
         self._sight: MotionSight | None = None
         if settings.evasion is not None:
+            import scipy.spatial  # noqa: F401 - now, and not in flight with the first body that moves
+
             grid = Grid.of_elevations(*vehicle.lidar_elevations)
             seen = settings.evasion
             self._sight = MotionSight(vehicles, seen.sight, seen.objects, vehicle.period, grid)
