@@ -76,7 +76,9 @@ def sample(images: np.ndarray, count: int = SAMPLES) -> Samples:
     order = np.flatnonzero(valid)
     rank = (np.cumsum(found) - found)[:, None] + np.arange(count) * found[:, None] // count
     chosen = order.take(np.minimum(rank, len(order) - 1)) if len(order) else np.zeros(rank.shape, np.int64)
-    points, across, along = (values.reshape(3, -1)[:, chosen].transpose(1, 0, 2) for values in (points, across, along))
+    points, across, along = (
+        values.reshape(3, -1).take(chosen, axis=1).transpose(1, 0, 2) for values in (points, across, along)
+    )
     normals = _cross(across, along)
     length = np.sqrt((normals**2).sum(1, keepdims=True))
     return Samples(points, normals / np.maximum(length, 1e-6), found)

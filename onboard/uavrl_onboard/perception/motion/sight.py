@@ -188,11 +188,12 @@ class MotionSight:
         beyond = self._scans.beyond(world, clouds, np.maximum(self._ages, 1))
         left = ~(np.abs(beyond) <= MARGIN)  # also where nothing is known
         moving = np.flatnonzero(left & (self._ages > 0)[clouds])
-        fresh = beyond[moving] > MARGIN
+        fresh, ages = beyond.take(moving) > MARGIN, self._ages.take(clouds.take(moving))
         for age in range(1, DEPTH):
-            asked = np.flatnonzero(~fresh & (self._ages[clouds[moving]] > age))
-            at = moving[asked]
-            fresh[asked] = self._scans.beyond(world[:, at], clouds[at], np.full(len(self._ages), age)) > MARGIN
+            asked = np.flatnonzero(~fresh & (ages > age))
+            at = moving.take(asked)
+            seen = self._scans.beyond(world.take(at, axis=1), clouds.take(at), np.full(len(self._ages), age))
+            fresh[asked] = seen > MARGIN
         masks = np.zeros((2, len(clouds)), bool)
         masks[0, moving], masks[1, moving[fresh]] = True, True
         return masks[0], masks[1]
