@@ -224,13 +224,11 @@ def _odd_ranges(points: np.ndarray) -> str | None:
 
 def _longest(flags: np.ndarray) -> tuple[int, int]:
     """Where the longest run of true flags on a circle begins, and how many it has."""
-    if flags.all():
-        return 0, len(flags)
+    if flags.all() or not flags.any():
+        return 0, int(flags.sum())
     turned = np.roll(flags, -int(np.argmin(flags)))  # which begins with a false one
     steps = np.diff(np.concatenate([turned, [False]]).astype(int))
     begins, ends = np.flatnonzero(steps == 1) + 1, np.flatnonzero(steps == -1) + 1
-    if not len(begins):
-        return 0, 0
     longest = int(np.argmax(ends - begins))
     return int(begins[longest] + np.argmin(flags)) % len(flags), int((ends - begins)[longest])
 

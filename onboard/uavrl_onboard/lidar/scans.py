@@ -291,7 +291,7 @@ class ScanAssembler:
         if packets[0][-2] == DUAL:  # two blocks tell of the same rays
             hit = hit[:, ::2] | hit[:, 1::2]
         points = self._decode.points(list(unpacked.values()))
-        return Scan(stamp, points, hit.size, hit.size - int(hit.sum()), len(packets))
+        return Scan(stamp, points, hit.size, hit.size - int(np.count_nonzero(hit)), len(packets))
 
     def trouble(self) -> str:
         """Why no scan came out, as a sentence's second half."""

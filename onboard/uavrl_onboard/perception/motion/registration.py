@@ -98,11 +98,11 @@ def register(samples: Samples, images: np.ndarray, grid: Grid, rotations: np.nda
     compared = _compare(samples, images, grid, turn, place)
     told = _judge(samples, compared, turn, place)
     found = Alignment(*(values.copy() for values in told))
-    off = np.flatnonzero(told.agreeing < 1)  # nothing can lie better than the others
-    first = Compared(*(values[off] for values in compared))
-    refined = _refine(_of(samples, off), images[:, off], grid, rotations[off], places[off], first)
-    for kept, new in zip(found, refined, strict=True):
-        kept[off] = new
+    if len(off := np.flatnonzero(told.agreeing < 1)):  # nothing can lie better than the others
+        first = Compared(*(values[off] for values in compared))
+        refined = _refine(_of(samples, off), images[:, off], grid, rotations[off], places[off], first)
+        for kept, new in zip(found, refined, strict=True):
+            kept[off] = new
     for start in STARTS:  # for scans that lie farther from what was expected than one descent reaches
         if len(bad := np.flatnonzero(~found.fits & (found.compared >= LEAST_COMPARED))):
             turned = rotation_by(np.array([[0.0, 0.0, start]])) @ rotations[bad]

@@ -12,6 +12,7 @@ LINK = 0.6  # m, between two returns of one body: at 10 m two lasers are 0.35 m 
 REACH = 0.8  # m, around the middle of a body within which its returns are looked for
 REACH_WHOLE = 1.2  # m, likewise, within which a whole body lies
 AROUND = REACH + LINK  # m, around a place, within which lies all that is looked at there
+ROUGH = 0.01  # m, by which a coordinate in single precision may be off, and more
 MOST_RETURNS = 300  # around a place, up to which a whole body is looked for
 LARGEST = 2.5  # m, diagonal of what may be a body
 MEASURED = 0.05  # m, standard deviation of the middle of a body, however many returns it has
@@ -114,8 +115,9 @@ def nearby(points: np.ndarray, place: np.ndarray, reach: float) -> np.ndarray:
         >>> nearby(np.array([[0.0, 0, 0], [0.5, 3, 0], [np.nan] * 3, [0.5, 0.5, 0]]), np.zeros(3), 1.0).tolist()
         [0, 3]
     """
-    strip = np.flatnonzero(np.abs(points[:, 0] - place[0]) < reach)
-    return strip[squared_distances(points[strip], place) < reach**2]
+    axes = points.T
+    strip = np.flatnonzero(np.abs(axes[0] - points.dtype.type(place[0])) < reach + ROUGH)
+    return strip[squared_distances(axes.take(strip, axis=1).T, place) < reach**2]
 
 
 def hanging_together(points: np.ndarray, seeds: np.ndarray) -> np.ndarray:
