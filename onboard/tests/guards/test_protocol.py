@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import fields
 from typing import Any
 
@@ -223,3 +225,28 @@ def test_motion_is_looked_for_where_the_lidar_looks() -> None:
             place = crossing(step) + np.array([0.0, 0.0, 3.0])
             guards.lead(seen := situation(place))
         assert bool(seen.objects.any()) == found
+
+
+NEW_MODULES = """
+import sys
+import numpy as np
+from uavrl_onboard.guards.chain import Guards
+from uavrl_onboard.guards.protocol import Situation
+from uavrl_onboard.guards.settings import GuardSettings
+guards, ring = Guards(GuardSettings.all()), np.linspace(-0.15, 0.15, 5)
+ball = np.stack(np.broadcast_arrays(8.0, ring[:, None], ring), -1).reshape(1, -1, 3)
+wall = np.stack(np.broadcast_arrays(10.0, np.linspace(-9.0, 9.0, 400)[:, None], ring), -1).reshape(1, -1, 3)
+for step in range(10):
+    points = np.concatenate([ball - [0.3 * step, 0.0, 0.0], wall], 1)
+    seen = Situation(points, np.zeros((1, 3)), np.zeros((1, 3)), np.full(1, 3.5), np.zeros(1))
+    guards.lead(seen)
+    guards.filter(np.array([[2.0, 0.0, 0.0]]))
+    if step == 0:
+        before = set(sys.modules)
+print(seen.moving[0] is not None, sorted(set(sys.modules) - before))
+"""
+
+
+def test_no_library_loads_in_the_cycle_in_which_the_first_body_moves() -> None:
+    ran = subprocess.run([sys.executable, "-c", NEW_MODULES], check=True, capture_output=True, text=True)
+    assert ran.stdout.split(maxsplit=1) == ["True", "[]\n"]

@@ -10,7 +10,8 @@ import pytest
 from onboard.tests.flight.test_loop import Rig
 
 from uavrl_onboard.flight.safety import Reason, SafetyState
-from uavrl_onboard.lidar.coverage import EMPTY, WATCHED, Coverage, Doubt
+from uavrl_onboard.geometry import Columns
+from uavrl_onboard.lidar.coverage import EMPTY, WATCHED, Coverage, Doubt, degrees_of
 
 AZIMUTHS = np.radians(np.arange(0.1, 360.0, 0.4))
 
@@ -202,3 +203,14 @@ def test_trunks_that_pass_are_no_parts_of_a_turn() -> None:
         ranges = np.where(turned < np.arcsin(np.minimum(0.3 / far, 1.0)), far, np.inf).min(1)
         scans.append(ring(np.minimum(ranges, 30.0)))
     assert not any(doubt is not None and doubt.certain for doubt in looked(scans))
+
+
+def test_a_return_counts_in_its_degree_also_next_to_a_border() -> None:
+    """Where single precision rounds to the wrong side of a border, double precision decides."""
+    borders, beside = np.radians(np.arange(-180.0, 181.0)), np.array([0.0, 1e-9, -1e-9, 1e-6, -1e-6, 1e-3, -1e-3, 5e-3])
+    azimuth = np.append((borders[:, None] + beside).ravel(), np.random.default_rng(0).uniform(-np.pi, np.pi, 10_000))
+    points = (7.0 * np.stack([np.cos(azimuth), np.sin(azimuth), 0.1 * azimuth], -1)).astype(np.float32)
+    x, y = points[:, :2].T.astype(np.float64)
+    exact = np.floor(np.degrees(np.arctan2(y, x))).astype(int) % 360
+    assert degrees_of(Columns.of(points)).tolist() == exact.tolist()
+    assert (np.floor(np.degrees(np.arctan2(*points[:, 1::-1].T))).astype(int) % 360 != exact).any()

@@ -117,7 +117,7 @@ class Coverage:
 
     def _count(self, columns: Columns) -> None:
         """Take in the returns."""
-        degree = _degrees(columns)
+        degree = degrees_of(columns)
         x, y = columns.points[:2].astype(np.float64)
         far = x * x + y * y  # squared
         least = np.full(360, np.inf)
@@ -183,7 +183,7 @@ class Coverage:
         return Doubt("half_scan", f"{where}: {cause if certain else f'is nothing in range there, or {cause}'}", certain)
 
 
-def _degrees(columns: Columns) -> np.ndarray:
+def degrees_of(columns: Columns) -> np.ndarray:
     """Return in which degree to the left each return lies, ``int [M]`` in [0, 360).
 
     Most azimuths say so in single precision, too; only those near a border are computed in double precision.
