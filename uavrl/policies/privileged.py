@@ -22,7 +22,7 @@ CAUTION, HEADWAY = 0.6, 0.7  # of vfh_headway (conf/demonstrator), where cells t
 
 
 class MappedVFH(VectorFieldHistogram):
-    """A vector field histogram that heads out of dead ends, along a way through what the LiDAR has shown in the episode.
+    """A vector field histogram that leaves dead ends, along a way through what the LiDAR has shown in the episode.
 
     Elsewhere it heads for the goal. It is a teacher for policies with a memory: it knows nothing that its own episode
     has not shown.
