@@ -58,7 +58,7 @@ def within(farthest: float) -> tuple[float, float]:
     return NEAREST_RETURN**2, farthest**2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Columns:
     """The returns of a scan, coordinate by coordinate, and the squares of their ranges.
 

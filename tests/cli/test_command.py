@@ -67,6 +67,7 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     [
         (
             ["reward=bold", "reward.arrived_reward=100"],
+            "belongs to reward=navigation or reward=navigation_printed or reward=navigation_prize or reward=traditional: "
             "choose one of them, or write +reward.arrived_reward=VALUE where the class of this one takes it.",
         ),
         (
@@ -104,6 +105,10 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
             "If the class of algo takes it, write +algo.actor.log_scale=VALUE.",
         ),
         (["env.world.file=site.stl"], "env.world.file belongs to env=cloud or env=mesh: choose one of them, or write"),
+        (
+            ["env=forest", "env.world.traps=3"],
+            "env.world.traps belongs to env=dynamic or env=static: choose one of them",
+        ),
         (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
         (
             ["perception.lidar.channels=32"],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import struct
 import time
 from collections.abc import Callable
@@ -168,6 +169,24 @@ def test_too_much(site: trimesh.Trimesh, tmp_path: Path, monkeypatch: pytest.Mon
     refused(
         lambda: MeshConfig(file=str(write_mesh(wide, tmp_path / "w.stl"))), "m² are flown in under a ceiling of 5 m"
     )
+
+
+@pytest.mark.parametrize("ceiling", [5.0, 25.0])
+def test_the_part_that_is_proposed_of_a_large_file_is_taken(ceiling: float, tmp_path: Path) -> None:
+    ground = box((800.0, 300.0, 0.1), (0, 0, 0))
+    file = str(write_mesh(trimesh.util.concatenate([ground, box((1, 1, 6), (5, 5, 3))]), tmp_path / "w.stl"))
+    with pytest.raises(UavrlError, match="one that it covers well") as told:
+        MeshConfig(file=file, ceiling=ceiling).scene(0)
+    (length, width), (x, y) = (
+        [float(each) for each in re.search(rf"env.world.{key}=\[([^\]]*)\]", str(told.value))[1].split(",")]  # type: ignore[index]
+        for key in ("size", "centre")
+    )
+    assert MeshConfig(file=file, ceiling=ceiling, size=(length, width), centre=(x, y)).scene(0).size == (length, width)
+
+
+def test_a_strip_is_proposed_as_wide_as_it_is() -> None:
+    middle, size = file_worlds.best_covered(np.mgrid[0:3001, 0:21].reshape(2, -1).T.astype(float), 100)
+    assert size[1] <= 21 and 90 <= size[0] <= 100 and 10 <= middle[1] <= 11
 
 
 def test_corners_that_are_no_numbers(site: trimesh.Trimesh, tmp_path: Path) -> None:

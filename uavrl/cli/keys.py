@@ -30,10 +30,18 @@ def known_keys(name: str, own: Sequence[Path] = ()) -> list[str]:
 
 
 def choices_with(key: str, own: Sequence[Path] = ()) -> list[str]:
-    """The choices of a group, as ``GROUP=NAME``, whose own yaml file holds a key; also in ``own`` folders."""
-    group = key.partition(".")[0]
-    files = [path for folder in (conf_dir(), *own) for path in sorted(folder.glob(f"{group}/*.yaml"))]
-    return [f"{group}={path.stem}" for path in files if key in {f"{group}.{each}" for each in _dotted(_of_group(path))}]
+    """The choices of a group, as ``GROUP=NAME``, that hold a key; also those in ``own`` folders."""
+    group, _, inside = key.partition(".")
+    contents: dict[str, Any] = {}
+    for folder in (conf_dir(), *own):
+        contents |= {path.stem: _of_group(path) for path in sorted(folder.glob(f"{group}/*.yaml"))}
+
+    def holds(name: str) -> bool:
+        content = contents.get(name, {})
+        based_on = [each for each in content.get("defaults", ()) if isinstance(each, str) and each != name]
+        return inside in _dotted(content) or any(holds(each) for each in based_on)
+
+    return [f"{group}={name}" for name in contents if holds(name)]
 
 
 def check_choices(choices: Mapping[str, str | None], own: Sequence[Path] = ()) -> None:

@@ -1,6 +1,7 @@
 """Worlds from a file: a triangle mesh, or a point cloud whose voxels are solid."""
 
 import logging
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,6 +23,7 @@ log = logging.getLogger(__name__)
 MOST_TRIANGLES = 2_000_000
 AROUND = 20.0  # m around the part that is flown in from which triangles are kept: the LiDAR sees them
 PART = 100  # m, sides of the part that is proposed of a file that is too large
+AS_GOOD = 0.95  # of the most ground that a part covers: such a part is as good
 LONGEST_EDGE = 10.0  # m, of the pieces of triangles that reach farther
 
 
@@ -99,11 +101,11 @@ class FileWorld(WorldRules):
         middle = (low + high) / 2 if self.centre is None else np.array(self.centre)
         if size[0] * size[1] * max(self.ceiling, 1.0) > LARGEST_PLACE:
             most = LARGEST_PLACE / max(self.ceiling, 1.0)
-            x, y = best_covered(surface[:, :2], PART)
+            (x, y), (length, width) = best_covered(surface[:, :2], min(PART, math.floor(math.sqrt(most))))
             raise UavrlError(
                 f"{path} is {size[0]:,.0f} × {size[1]:,.0f} m, and at most {most:,.0f} m² are flown in under a ceiling "
-                f"of {self.ceiling:g} m: choose a part. The {PART} × {PART} m that it covers best are "
-                f"env.world.size=[{PART},{PART}] env.world.centre=[{x:.0f},{y:.0f}]."
+                f"of {self.ceiling:g} m: choose a part, for example one that it covers well, with "
+                f"env.world.size=[{length:.0f},{width:.0f}] and env.world.centre=[{x:.0f},{y:.0f}]."
             )
         inside = (np.abs(surface[:, :2] - middle) <= np.array(size) / 2).all(1)
         if not inside.any():
@@ -220,29 +222,35 @@ class CloudConfig(FileWorld):
         return voxel_mesh(solid, self.voxel), (solid + 0.5) * self.voxel
 
 
-def best_covered(points: np.ndarray, side: int) -> np.ndarray:
-    """The middle of the square in which ``points [P, 2]`` cover most of the ground; of several, of the first.
+def best_covered(points: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
+    """The middle and the size of a square in which points cover most of the ground.
+
+    Of squares that are nearly as good, it is the one nearest to the middle of all points. It ends where they end.
 
     Args:
-        points: On surfaces, seen from above, in m.
+        points: On surfaces, seen from above, ``[P, 2]`` in m.
         side: Of the square in m.
 
     Examples:
         A corridor of 300 m, and a yard at its end:
 
-        >>> x, y = np.mgrid[0:300, 0:4], np.mgrid[250:300, 0:50]
+        >>> x, y = np.mgrid[0:301, 0:5], np.mgrid[250:301, 0:51]
         >>> best_covered(np.concatenate([x.reshape(2, -1).T, y.reshape(2, -1).T]), 50)
-        array([275.,  25.])
+        (array([273.,  25.]), array([50., 50.]))
     """
     low, high = points.min(0), points.max(0)
     cell = max(1.0, (high - low).max() / 1000)
     seen = ((points - low) / cell).astype(int)
-    cells = max(round(side / cell), 1)
-    covered = np.zeros(np.maximum(seen.max(0) + 1, cells) + 1)
+    wide = np.minimum(np.maximum(np.round(side / cell), 1), seen.max(0) + 1).astype(int)  # in cells
+    covered = np.zeros(seen.max(0) + 2)
     covered[tuple(seen.T + 1)] = 1.0
     total = covered.cumsum(0).cumsum(1)
-    inside = total[cells:, cells:] - total[:-cells, cells:] - total[cells:, :-cells] + total[:-cells, :-cells]
-    return low + cell * (np.array(np.unravel_index(inside.argmax(), inside.shape)) + cells / 2)
+    (w, h) = wide
+    inside = total[w:, h:] - total[:-w, h:] - total[w:, :-h] + total[:-w, :-h]
+    good = np.argwhere(inside >= AS_GOOD * inside.max())
+    middles = low + cell * (good + wide / 2)
+    nearest = ((middles - (low + high) / 2) ** 2).sum(1).argmin()
+    return middles[nearest], np.minimum(cell * wide, side)
 
 
 def _within(corners: np.ndarray, half: np.ndarray) -> np.ndarray:

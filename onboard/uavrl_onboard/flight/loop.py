@@ -212,7 +212,9 @@ class Flight:
         """What the guards see."""
         own = np.array([pose.velocity]), np.array([pose.attitude]), np.array([pose.position[2]])
         heading, place, goal = np.radians([heading_deg]), np.array([pose.position]), np.array([self.goal[:2]])
-        return Situation(scan.points[None], *own, heading, elapsed, place, goal, returns={0: returns})
+        seen = Situation(scan.points[None], *own, heading, elapsed, place, goal)
+        seen.take_returns(0, returns)
+        return seen
 
     def _distance(self, pose: Pose | None) -> float | None:
         """How far the goal is, horizontally, in m."""

@@ -35,7 +35,6 @@ class Situation:
             ``MotionSight`` reports them.
         moving: Of each vehicle, which returns of its scan belong to moving objects, ``bool [M]``; None for no return.
         bodies: Of each vehicle, all moving objects, ``[M, 7]``.
-        returns: The returns of each vehicle's scan, by its number, once they are known.
     """
 
     clouds: np.ndarray
@@ -50,7 +49,7 @@ class Situation:
     objects: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 7), np.float32))
     moving: list[np.ndarray | None] = field(default_factory=list)
     bodies: list[np.ndarray] = field(default_factory=list)
-    returns: dict[int, Columns] = field(default_factory=dict, repr=False)
+    _columns: dict[int, Columns] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Begin with nothing that moves."""
@@ -60,14 +59,18 @@ class Situation:
 
     def columns(self, vehicle: int) -> Columns:
         """Return the returns of one vehicle's scan; guards look at different parts of them."""
-        if vehicle not in self.returns:
-            self.returns[vehicle] = Columns.of(self.clouds[vehicle])
-        return self.returns[vehicle]
+        if vehicle not in self._columns:
+            self._columns[vehicle] = Columns.of(self.clouds[vehicle])
+        return self._columns[vehicle]
+
+    def take_returns(self, vehicle: int, columns: Columns) -> None:
+        """Take the returns of one vehicle's scan, where they are known already."""
+        self._columns[vehicle] = columns
 
     def keep(self, before: Situation, vehicle: int) -> None:
         """Take over the last scan of a vehicle that has no new one, and what moves in it."""
         self.bodies[vehicle], self.moving[vehicle] = before.bodies[vehicle], before.moving[vehicle]
-        self.returns[vehicle] = before.columns(vehicle)
+        self._columns[vehicle] = before.columns(vehicle)
 
     def standing(self, vehicle: int, farthest: float) -> np.ndarray:
         """Return the returns of one vehicle nearer than ``farthest`` metres, without moving objects, ``[K, 3]``."""

@@ -112,14 +112,20 @@ class Shield:
                 f"A shield needs finite numbers, got {asked} m/s asked for, roll and pitch {tuple(tilt)} rad, and a "
                 f"velocity of {velocity} m/s."
             )
-        towards, speeds = self.bounds(returns, tilt, velocity)
+        towards, speeds = self._bounds(returns, tilt, velocity)
         found = keep_within(asked[None], towards, speeds[None])[0]
         return found * min(1.0, self.vehicle.velocity_limit / max(np.abs(found).max(), 1e-9))
 
     def bounds(
-        self, returns: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
+        self, cloud: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Unit vectors ``[M, 3]`` in the yaw-aligned frame, and how fast one may fly there: ``[M]`` in m/s."""
+        return self._bounds(cloud[is_return(cloud, within(self._sight))], tilt, velocity)
+
+    def _bounds(
+        self, returns: np.ndarray, tilt: tuple[float, float], velocity: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The bounds of returns within sight."""
         x, y, z = np.ascontiguousarray(self._points(returns, tilt).T)  # coordinate by coordinate: that is faster
         kept = self._kept
         stretch = kept / (self.vehicle.hull[1] + self._margin)  # of heights makes hull and margin a ball

@@ -249,7 +249,7 @@ class MotionSight:
             reach = track.size / 2 + BESIDE
             at = nearby(scan.points.T, rotation.T @ (track.position - self._positions[sensor]), reach)
             around = nearby(looked_at, track.position, reach + LINK)
-            if own[around].all():  # nothing stands near it
+            if len(around) and own[around].all():  # nothing stands near it
                 moving[at] = True
                 continue
             world = scan.rows(at) @ rotation.T + self._positions[sensor]
