@@ -68,8 +68,7 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (
             ["reward=bold", "reward.arrived_reward=100"],
             "belongs to reward=navigation or reward=navigation_printed or reward=navigation_prize or "
-            "reward=traditional: choose one of them, or write +reward.arrived_reward=VALUE where the class of this one takes "
-            "it.",
+            "reward=traditional: choose one of them, or write +reward.arrived_reward=VALUE where the class",
         ),
         (
             ["reward=traditional", "reward.boldness=2"],
