@@ -101,8 +101,16 @@ def test_success_and_time_are_drawn_against_the_limit_of_speed(tmp_path: Path) -
 
 def test_success_with_each_sensor_is_drawn_from_the_row_with_most_tasks(tmp_path: Path) -> None:
     drawing = runpy.run_path(str(FIGURES / "sensors.py"))
-    row = {"world": "rooms", "sensor": "vlp16", "guards": "all", "episodes": 100, "success": {"rate": 0.9}}
-    cells = drawing["grid"]([row, row | {"episodes": 50, "success": {"rate": 0.1}}])
+    row = {
+        "policy": "best",
+        "world": "rooms",
+        "sensor": "vlp16",
+        "guards": "all",
+        "episodes": 100,
+        "success": {"rate": 0.9},
+    }
+    others = [row | {"episodes": 50, "success": {"rate": 0.1}}, row | {"policy": "vfh"}, row | {"world": "mine"}]
+    cells = drawing["grid"]([row, *others])
     assert cells[0].tolist()[-1] == 90.0 and np.isfinite(cells).sum() == 1
     file = tmp_path / "sensors.json"
     file.write_text(json.dumps([row]))
