@@ -58,6 +58,9 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         "_target_: uavrl.transforms.rewards.TraditionalReward\ncollided_reward: -50.0\nboldness: 1.0\n"
     )
     (folder / "reward" / "broken.yaml").write_text("weights: [1.0\n")
+    (folder / "reward" / "egg.yaml").write_text("defaults: [hen]\n")
+    (folder / "reward" / "hen.yaml").write_text("defaults: [egg]\n")
+    (folder / "reward" / "empty.yaml").write_text("defaults:\n")
     monkeypatch.chdir(tmp_path)
     return ["--config-dir", str(folder)]
 

@@ -135,6 +135,15 @@ def test_small_detours_are_left_to_the_vehicle_and_a_way_out_is_followed_to_its_
     assert followed == [False, True, True, False, False]
 
 
+def test_a_new_episode_follows_no_way_until_it_is_long_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    ways, detours = MappedWays(1, VEHICLE, reach=4.0), iter((4.0, 1.0))
+    monkeypatch.setattr(Wayfinder, "lead", lambda self, seen: np.array([0.5]))
+    monkeypatch.setattr(Wayfinder, "detours", property(lambda self: np.array([next(detours)])))
+    assert ways.directions(hovering(NOTHING), BOTH[:1])[0, 1] > 0.1
+    ways.begin(BOTH[:1])
+    assert ways.directions(hovering(NOTHING), BOTH[:1])[0, 1] == 0.0
+
+
 def test_a_post_ahead_does_not_turn_the_heading() -> None:
     post = np.array([[2.0, 0.1, -0.1], [2.0, 0.2, -0.1]], np.float32)
     ahead = MappedWays(1, VEHICLE, reach=4.0).directions(hovering(post), BOTH[:1])

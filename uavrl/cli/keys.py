@@ -36,10 +36,10 @@ def choices_with(key: str, own: Sequence[Path] = ()) -> list[str]:
     for folder in (conf_dir(), *own):
         contents |= {path.stem: _of_group(path) for path in sorted(folder.glob(f"{group}/*.yaml"))}
 
-    def holds(name: str) -> bool:
-        content = contents.get(name, {})
-        based_on = [each for each in content.get("defaults", ()) if isinstance(each, str) and each != name]
-        return inside in _dotted(content) or any(holds(each) for each in based_on)
+    def holds(name: str, asked: frozenset[str] = frozenset()) -> bool:
+        content, asked = contents.get(name) or {}, asked | {name}  # files of the user's may name each other in a circle
+        based_on = [each for each in content.get("defaults") or () if isinstance(each, str) and each not in asked]
+        return inside in _dotted(content) or any(holds(each, asked) for each in based_on)
 
     return [f"{group}={name}" for name in contents if holds(name)]
 

@@ -32,14 +32,7 @@ class MappedWays:
     """
 
     def __init__(self, vehicles: int, vehicle: Vehicle, reach: float) -> None:
-        sight = min(reach, MapSettings().sight)
-        self._finder = Wayfinder(
-            vehicles,
-            sight,
-            flight_level=vehicle.flight_level,
-            period=vehicle.period,
-            sensor_position=vehicle.lidar_position,
-        )
+        self._finder = Wayfinder.of(vehicle, vehicles, min(reach, MapSettings().sight))
         self._ways = np.zeros((vehicles, 2))
         self._followed = np.zeros(vehicles, bool)
 

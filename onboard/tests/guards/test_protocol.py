@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -225,6 +225,16 @@ def test_motion_is_looked_for_where_the_lidar_looks() -> None:
             place = crossing(step) + np.array([0.0, 0.0, 3.0])
             guards.lead(seen := situation(place))
         assert bool(seen.objects.any()) == found
+
+
+def test_a_copy_of_a_situation_with_another_scan_has_the_returns_of_that_scan() -> None:
+    far, still = wall(40.0)[None], np.zeros((1, 3))
+    seen = Situation(far, still, still, np.full(1, LEVEL), np.zeros(1))
+    guards = Guards(GuardSettings(shield=ShieldSettings()))
+    guards.lead(seen)
+    assert guards.filter(ASKED)[0, 0] == pytest.approx(2.0)
+    guards.lead(replace(seen, clouds=wall(0.8)[None]))
+    assert guards.filter(ASKED)[0, 0] < 1.0
 
 
 NEW_MODULES = """

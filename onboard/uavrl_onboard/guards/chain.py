@@ -21,8 +21,7 @@ from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 
 def _map(settings: MapSettings, vehicles: int, vehicle: Vehicle) -> Guard:
-    about: dict[str, Any] = {"flight_level": vehicle.flight_level, "sensor_position": vehicle.lidar_position}
-    return Wayfinder(vehicles, settings.sight, period=vehicle.period, **about)
+    return Wayfinder.of(vehicle, vehicles, settings.sight)
 
 
 def _evasion(settings: EvasionSettings, vehicles: int, vehicle: Vehicle) -> Guard:

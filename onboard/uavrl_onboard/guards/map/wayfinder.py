@@ -11,7 +11,7 @@ from uavrl_onboard.geometry import heading_vector
 from uavrl_onboard.guards.map.goal_finder import GoalFinder
 from uavrl_onboard.guards.map.navigator import Navigator
 from uavrl_onboard.guards.protocol import Situation
-from uavrl_onboard.vehicle import VEHICLE
+from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 
 class Wayfinder:
@@ -58,6 +58,17 @@ class Wayfinder:
         self._goals = [GoalFinder(reach) for _ in range(vehicles)]
         self._begun = np.zeros(vehicles, bool)  # whether it has had a scan in this episode
         self._places, self._velocities = np.zeros((2, vehicles, 3))
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, vehicles: int, sight: float) -> Wayfinder:
+        """Return one for vehicles of this kind."""
+        return cls(
+            vehicles,
+            sight,
+            flight_level=vehicle.flight_level,
+            period=vehicle.period,
+            sensor_position=vehicle.lidar_position,
+        )
 
     def reset(self, which: np.ndarray) -> None:
         """Forgets all that some vehicles have seen, ``bool [N]``; their next scan is their first."""
