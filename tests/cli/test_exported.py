@@ -42,10 +42,12 @@ def evaluation(output: Path, *arguments: str) -> dict[str, Any]:
 @pytest.mark.parametrize("guards", ["none", "shield"])
 def test_it_flies_as_its_weights_do(guards: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Behind a shield, too, where its last action is not what it gave."""
-    monkeypatch.setattr(Shield, "__call__", lambda _, asked, *__: np.asarray(asked) / 2)
+    monkeypatch.setattr(Shield, "bend", lambda _, asked, *__: np.asarray(asked) / 2)
     ours = evaluation(tmp_path / "policy.json", f"policy={folder}", f"guards={guards}")
     theirs = evaluation(tmp_path / "run.json", f"run={folder}", f"guards={guards}")
     assert ours["policy"] == str(folder) and ours["outcomes"] == theirs["outcomes"]
+    if guards == "shield":
+        assert ours["guard_share"] > 0.9, "the shield halves all velocities"
     for flown, expected in zip(ours["flights"], theirs["flights"], strict=True):
         assert (flown["task"], flown["outcome"], flown["steps"]) == tuple(
             expected[k] for k in ("task", "outcome", "steps")

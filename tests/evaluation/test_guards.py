@@ -121,7 +121,7 @@ def test_an_evaluation_flies_with_guards_that_know_the_vehicle_and_look_as_far(
         return np.zeros(3)
 
     monkeypatch.setattr(Guards, "lead", led)
-    monkeypatch.setattr(Shield, "__call__", stands)
+    monkeypatch.setattr(Shield, "bend", stands)
     output = tmp_path / "guarded.json"
     command = [
         "policy=straight",
