@@ -7,14 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from omegaconf import OmegaConf
 
+from uavrl import load_policy
 from uavrl.config import compose, resolve, validate
 from uavrl.config.settings import EvaluateConfig
 from uavrl.envs.sensors import SENSORS, lidar_sensor
 from uavrl.errors import UavrlError
-from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor, unseen_cells
+from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor, unseen_cells, with_trained_view
 from uavrl.evaluation.overrides import with_overrides
+from uavrl.transforms import RangeImage
 
 UNSEEN = {"vlp16": 0, "os0_32": 0, "os0_128": 0, "os1_64": 0, "xt32": 0, "mid360": 0, "rplidar": 48, "d435": 51}
 """Of the 72 cells of a range image."""
@@ -56,6 +59,38 @@ def test_a_trained_policy_flies_with_a_sensor_that_misses_cells_only_if_asked(ca
     assert check_field_of_view(perception("env.lidar=os0_32"), "vlp16") == 0
     with pytest.raises(UavrlError, match=r"d435 never sees 51 .* from 60 to 300 degrees to the left of straight ahead"):
         check_field_of_view(perception("env.lidar=d435"), "vlp16")
+
+
+@pytest.mark.parametrize(
+    ("flown", "trained_with", "view"),
+    [
+        ([], "vlp16", None),  # its own
+        (["env.lidar=mid360"], "mid360", None),
+        (["env.lidar=mid360"], "vlp16", (-180, 180, -15, 15)),
+        (["env.lidar=mid360", "perception.grid.elevation=[-7,52]"], "vlp16", (-180, 180, -15, 52)),  # all its rows
+        ([], "d435", (-43.5, 43.5, -29, 29)),
+        (["env.lidar=os0_32"], None, (-180, 180, -15, 15)),  # a controller that was not trained: its rows
+        (["env.lidar=os0_32", "perception=truncated_icosahedron"], None, None),
+        (["env.lidar=os0_32", "perception=truncated_icosahedron"], "vlp16", (-180, 180, -15, 15)),
+    ],
+)
+def test_a_policy_reads_what_its_own_sensor_could_have_seen(flown: list[str], trained_with: Any, view: Any) -> None:
+    seen = with_trained_view(perception(*flown), trained_with)
+    assert seen["lidar"].trained_view == view
+    assert {**seen, "lidar": None} == {**perception(*flown), "lidar": None}
+
+
+def test_under_a_ceiling_a_sensor_that_looks_up_shows_what_the_sensor_of_the_training_does() -> None:
+    """The ceiling is 2 m above the flight level, and in the Ouster's view."""
+    policy = load_policy("best")
+    changes = ("env=rooms", "randomize=none", "perception.lidar.range_noise=0", "perception.lidar.min_range=0")
+    cells: dict[str, torch.Tensor] = {}
+    for sensor in ("vlp16", "os0_128"):
+        env = policy.make_env(*changes, f"env.lidar={sensor}", num_uavs=4, guards="none", keep_cloud=True)
+        begun = env.reset()
+        cells[sensor], cloud = begun["faces"], begun["point_cloud"]
+    assert (cells["os0_128"] - cells["vlp16"]).abs().quantile(0.9) < 0.1
+    assert ((RangeImage.reduced(cloud) - cells["vlp16"]).abs() > 1.0).sum() >= 10, "as all points would show it"
 
 
 def test_a_run_keeps_its_sensor_and_its_speed_in_another_environment() -> None:

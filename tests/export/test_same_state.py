@@ -16,6 +16,7 @@ from tests.helpers.wire import Wire
 from uavrl.config import compose, validate
 from uavrl.evaluation.environment import make_env
 from uavrl_onboard.flight.safety import SafetyState
+from uavrl_onboard.policy.policy import Policy
 
 TASK, STEPS = 1, 15
 
@@ -67,3 +68,16 @@ def test_it_sees_move_what_the_simulator_sees_move(tmp_path: Path) -> None:
     apart = np.abs(told - true)[both]
     assert np.median(apart[:, :3]) < 0.01 and np.median(apart[:, 3:6]) < 0.05, "12 cm, 0.25 m/s"
     np.testing.assert_allclose(found[0], wanted[0], rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize(("sensor", "sees"), [("vlp16", False), ("os0_32", True)])
+@pytest.mark.parametrize("perception", ["range_image", "truncated_icosahedron"])
+def test_on_board_it_reads_what_the_sensor_of_its_training_could_have_seen(
+    perception: str, sensor: str, sees: bool, tmp_path: Path
+) -> None:
+    """A ceiling 2 m above, at 40 degrees, in the scan of any sensor; a wall ahead is seen by both."""
+    folder = exported(tmp_path, f"perception={perception}", f"env.lidar={sensor}", "algo.hidden=[4]")
+    policy = Policy(folder)
+    for cloud, wanted in (([[2.4, 0.0, 2.0]], sees), ([[2.4, 0.0, 0.5]], True)):
+        policy.state(np.array(cloud), altitude=3.5, heading_deg=0.0, elevation_deg=0.0)
+        assert policy.cells is not None and policy.cells.any() == wanted

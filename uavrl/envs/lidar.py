@@ -19,6 +19,7 @@ from uavrl.errors import UavrlError, extras
 from uavrl_onboard.geometry import turn_about, yaw_rotation
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.motion.rays import far_ray_indices
+from uavrl_onboard.perception.view import View
 
 with extras():
     from embreex.mesh_construction import TriangleMesh
@@ -47,6 +48,8 @@ class LidarConfig:
             and needs fewer rays, as :class:`uavrl.transforms.MovingObjects` does. None: as far as the others.
         sensor: a name of :data:`uavrl.envs.sensors.SENSORS`, a YAML file, whose settings are then kept, the settings of
             a :class:`uavrl.envs.LidarSensor`, or one itself.
+        trained_view: the field of view that a policy's cells read, where the policy was trained with another sensor:
+            the rightmost, leftmost, lowest and highest direction, degrees. None: they read the whole scan.
 
     Examples:
         >>> LidarConfig(max_range=4.0, range_noise=0.01).max_range
@@ -60,6 +63,7 @@ class LidarConfig:
     motion_distortion: bool = False
     far_range: Annotated[float, Field(gt=0, le=1000)] | None = None
     sensor: Any = "vlp16"
+    trained_view: View | None = None
 
     def __post_init__(self) -> None:
         """Checks the values."""

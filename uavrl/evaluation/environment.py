@@ -62,9 +62,10 @@ def make_env(
     position = getattr(env.get("airframe"), "lidar_position", None)  # somebody else's airframe may have none
     mounted = {} if position is None else {"sensor_position": position}
     state = build(perception, Transform, packages=packages, **mounted)
-    for part in state.modules() if keep_cloud and state is not None else ():
+    for part in () if state is None else state.modules():
         if isinstance(part, PointCloudReduction):
-            part.del_keys = False
+            part.view = getattr(perception.get("lidar"), "trained_view", None)
+            part.del_keys = part.del_keys and not keep_cloud
     paid = None if reward is None else build(reward, Transform, packages=packages)
     for transform, part in ((state, "perception"), (paid, "reward")):
         if transform is not None:

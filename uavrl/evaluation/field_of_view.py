@@ -13,8 +13,10 @@ from torchrl.envs import Transform
 from uavrl.config.build import TARGET, build
 from uavrl.envs.lidar import LidarConfig
 from uavrl.errors import UavrlError
-from uavrl.transforms import PointCloudReduction
+from uavrl.transforms import PointCloudReduction, RangeImage
+from uavrl_onboard.perception.view import with_rows
 
+ALL_AROUND = (-180.0, 180.0)  # degrees
 TRAINED_WITH = "vlp16"  # policies whose configuration does not name their sensor
 _SCANS = 5  # of a pattern that changes: half a second, as much as the frames of a state
 
@@ -34,14 +36,45 @@ def unseen_cells(
 
     Both are empty where a perception has no cells.
     """
-    state = None if perception.get(TARGET) is None else build(perception, Transform, packages=packages)
-    parts = () if state is None else state.modules()
-    reduction = next((part for part in parts if isinstance(part, PointCloudReduction)), None)
+    reduction = _reduction(perception, packages)
     if reduction is None:
         return [], np.zeros((0, 3))
     device = LidarConfig(sensor=sensor).device
     rays = device.rays.directions[: _SCANS * device.stride].reshape(-1, 3)
     return reduction.unseen_cells(torch.from_numpy(rays.copy())), reduction.directions().double().numpy()
+
+
+def with_trained_view(
+    perception: Mapping[str, Any], trained_with: Any = None, packages: Iterable[str] = ()
+) -> Mapping[str, Any]:
+    """Let a policy's cells read only what the sensor of its training could have seen; a run's own sensor stays.
+
+    A sensor that looks farther up would otherwise show a ceiling in the cells of the highest row, where the policy has
+    learned that a wall stands ahead. The rows of a range image are read as far as they reach. Of a policy that was not
+    trained, these alone count.
+
+    Args:
+        perception: validated; its ``lidar`` names the sensor.
+        trained_with: the sensor of the training; None for a policy that was not trained.
+        packages: that the user trusts.
+    """
+    lidar = perception.get("lidar")
+    if not isinstance(lidar, LidarConfig):
+        return perception
+    known = replace(lidar, sensor=trained_with or TRAINED_WITH).device
+    if lidar.device == known:
+        return perception
+    reduction = _reduction(perception, packages)
+    view = known.field_of_view
+    if isinstance(reduction, RangeImage):
+        view = (
+            (*ALL_AROUND, *reduction.grid.elevation)
+            if trained_with is None
+            else with_rows(view, reduction.grid.elevation)
+        )
+    elif reduction is None or trained_with is None:
+        return perception
+    return {**perception, "lidar": replace(lidar, trained_view=view)}
 
 
 def check_field_of_view(
@@ -83,6 +116,13 @@ def check_field_of_view(
         f"another env.lidar, train a policy for this one with uavrl-train env.lidar={device.name}, or fly nevertheless "
         "with allow_unseen=true."
     )
+
+
+def _reduction(perception: Mapping[str, Any], packages: Iterable[str]) -> PointCloudReduction | None:
+    """Return what makes the cells of a perception; None where it has none of ours."""
+    state = None if perception.get(TARGET) is None else build(perception, Transform, packages=packages)
+    parts = () if state is None else state.modules()
+    return next((part for part in parts if isinstance(part, PointCloudReduction)), None)
 
 
 def _where(directions: np.ndarray) -> str:

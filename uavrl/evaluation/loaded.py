@@ -15,7 +15,7 @@ from uavrl.config import compose, validate
 from uavrl.entries import entry
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env, with_sight
-from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor
+from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor, with_trained_view
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
 from uavrl.evaluation.worlds import FIRST_UNSEEN
 from uavrl.models.memory import IS_INIT, RECURRENT_STATE, RecurrentPolicy
@@ -130,8 +130,9 @@ class LoadedPolicy(PolicyModule):
         if valleys is not None or unseen:
             run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [FIRST_UNSEEN]))
         chosen = guard_settings(guards, self.guards)
-        check_field_of_view(run.perception, trained_sensor(self.config), run.packages, allowed=allow_unseen)
-        perception = with_sight(run.perception, chosen, keys)
+        sensor = trained_sensor(self.config)
+        check_field_of_view(run.perception, sensor, run.packages, allowed=allow_unseen)
+        perception = with_sight(with_trained_view(run.perception, sensor, run.packages), chosen, keys)
         context: dict[str, Any] = {
             "packages": run.packages,
             "num_uavs": num_uavs,

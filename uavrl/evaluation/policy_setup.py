@@ -109,7 +109,7 @@ def _choose_valleys(chosen: PolicySetup, settings: FlyingConfig, given: Collecti
 
 def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPolicy) -> PolicySetup:
     """Check that the LiDAR sees the policy's cells, and add another LiDAR than that of the training to the source."""
-    from uavrl.evaluation.field_of_view import TRAINED_WITH, check_field_of_view, trained_sensor
+    from uavrl.evaluation.field_of_view import TRAINED_WITH, check_field_of_view, trained_sensor, with_trained_view
 
     if (lidar := chosen.perception.get("lidar")) is None:
         return chosen
@@ -120,9 +120,11 @@ def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPoli
         trained_with = policy.overrides.get(SENSOR, TRAINED_WITH)
     allowed = settings.allow_unseen
     unseen = check_field_of_view(chosen.perception, trained_with, settings.packages, allowed=allowed)
+    perception = Part(with_trained_view(chosen.perception, trained_with, settings.packages))
     if lidar.device.name == TRAINED_WITH:
-        return chosen
-    return replace(chosen, source={**chosen.source, "lidar": lidar.device.name, "unseen_cells": unseen})
+        return replace(chosen, perception=perception)
+    source = {**chosen.source, "lidar": lidar.device.name, "unseen_cells": unseen}
+    return replace(chosen, source=source, perception=perception)
 
 
 def _guarded(

@@ -17,6 +17,7 @@ from uavrl.entries import entry, entry_spec
 from uavrl.errors import UavrlError
 from uavrl_onboard.geometry import NEAREST_RETURN
 from uavrl_onboard.perception.cells import LARGEST_RADIUS, Statistic, return_bounds
+from uavrl_onboard.perception.view import SLACK, View
 
 __all__ = ["PointCloudReduction", "Statistic", "is_return"]
 
@@ -76,6 +77,27 @@ def returns_of(points: Tensor, radius: float) -> tuple[Tensor, Tensor, Tensor, T
     return x, y, z, kept.div(max(points.shape[-2], 1), rounding_mode="floor")
 
 
+def in_view(points: Tensor, view: View) -> Tensor:
+    """Returns which points lie in a field of view, or at most 0.5 degrees beside it: ``bool [*B, P]``.
+
+    Args:
+        points: ``[*B, P, 3]`` in the sensor frame.
+        view: the rightmost, leftmost, lowest and highest direction, degrees.
+
+    Examples:
+        >>> in_view(torch.tensor([[2.0, 0.0, 0.0], [2.0, 0.0, 2.0]]), (-180.0, 180.0, -15.0, 15.0)).tolist()
+        [True, False]
+    """
+    x, y, z = points.unbind(-1)
+    right, left, low, high = view
+    elevation = torch.rad2deg(torch.atan2(z, torch.hypot(x, y)))
+    seen = (elevation >= low - SLACK) & (elevation <= high + SLACK)
+    if left - right + 2 * SLACK < 360.0:
+        azimuth = torch.rad2deg(torch.atan2(y, x))
+        seen &= (azimuth >= right - SLACK) & (azimuth <= left + SLACK)
+    return seen
+
+
 def least_of(lengths: Tensor, clouds: Tensor, cells: Tensor, shape: tuple[int, ...]) -> Tensor:
     """The least of ``lengths [M]`` in each cell of each cloud, ``shape [*B, cells]``, infinite where there is none."""
     least = lengths.new_full((math.prod(shape),), torch.inf)
@@ -101,10 +123,15 @@ class PointCloudReduction(Transform):
         radius: of the ball outside of which nothing is seen, in metres.
         statistic: what a cell reports; None for the class's own.
         del_keys: whether the point clouds are removed. ``False`` keeps them beside the cells.
+
+    Attributes:
+        view: the field of view that cells read: the rightmost, leftmost, lowest and highest direction in degrees.
+            Points more than 0.5 degrees outside are misses. None, as at first: cells read all points.
     """
 
     invertible = False
     default_statistic: ClassVar[Statistic] = "face"
+    view: View | None = None
 
     @staticmethod
     def reduced(points: Tensor, radius: float, statistic: Statistic) -> Tensor:
@@ -137,6 +164,8 @@ class PointCloudReduction(Transform):
         self.del_keys = del_keys
 
     def _apply_transform(self, obs: Tensor) -> Tensor:
+        if self.view is not None:
+            obs = torch.where(in_view(obs, self.view)[..., None], obs, torch.nan)
         return self.reduced(obs, self.radius, self.statistic)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:

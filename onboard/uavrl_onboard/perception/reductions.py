@@ -27,17 +27,21 @@ from uavrl_onboard.perception.cells import (
     range_image_middles,
     return_bounds,
 )
+from uavrl_onboard.perception.view import View, in_view
 
 Reduction = Literal["truncated_icosahedron", "range_image"]
 
 
-def truncated_icosahedron(points: np.ndarray, radius: float = 4.0, statistic: Statistic = "face") -> np.ndarray:
+def truncated_icosahedron(
+    points: np.ndarray, radius: float = 4.0, statistic: Statistic = "face", *, view: View | None = None
+) -> np.ndarray:
     """Reduces one cloud to 32 distances, as `uavrl.transforms.icosahedron.truncated_icosahedron` does.
 
     Args:
         points: ``[P, 3]`` in metres in the sensor frame, float32 or float64; NaN, infinity and zeros are misses.
         radius: circumradius in metres.
         statistic: what a face reports: ``"face"``, ``"range"`` or ``"proximity"``.
+        view: the field of view outside of which points do not count; None: all count.
 
     Returns:
         ``[32]`` in metres.
@@ -50,7 +54,7 @@ def truncated_icosahedron(points: np.ndarray, radius: float = 4.0, statistic: St
         >>> seen.shape, np.flatnonzero(seen).tolist()
         ((32,), [30])
     """
-    x, y, z = _returns(points, radius, statistic)
+    x, y, z = _returns(points, radius, statistic, view)
     normals, centres, offsets, images = _faces(float(radius), x.dtype)
     mirrored = (x < 0.0) * 4 + (y < 0.0) * 2 + (z < 0.0)  # see `uavrl_onboard.perception.cells.octant`
     x, y, z = np.abs(x), np.abs(y), np.abs(z)
@@ -67,7 +71,12 @@ def truncated_icosahedron(points: np.ndarray, radius: float = 4.0, statistic: St
 
 
 def range_image(
-    points: np.ndarray, radius: float = 4.0, statistic: Statistic = "proximity", grid: RangeGrid = VLP16_GRID
+    points: np.ndarray,
+    radius: float = 4.0,
+    statistic: Statistic = "proximity",
+    grid: RangeGrid = VLP16_GRID,
+    *,
+    view: View | None = None,
 ) -> np.ndarray:
     """Reduces one cloud to 72 distances, as `uavrl.transforms.range_image.range_image` does.
 
@@ -76,6 +85,7 @@ def range_image(
         radius: of the ball in metres.
         statistic: as there.
         grid: where the cells are.
+        view: as in `truncated_icosahedron`.
 
     Returns:
         ``[72]``, or ``[grid.count]``, in metres.
@@ -88,7 +98,7 @@ def range_image(
         >>> seen.shape, np.flatnonzero(seen).tolist(), float(seen[1])
         ((72,), [1], 1.0)
     """
-    x, y, z = _returns(points, radius, statistic)
+    x, y, z = _returns(points, radius, statistic, view)
     across = np.sqrt(x * x + y * y)
     column = np.round(np.arctan2(y, x) * (grid.columns / (2.0 * np.pi))).astype(np.int64) % grid.columns
     elevation = np.arctan2(z, across)
@@ -112,8 +122,10 @@ def directions(reduction: Reduction, grid: RangeGrid = VLP16_GRID) -> np.ndarray
     return icosahedron(1.0).normals if reduction == "truncated_icosahedron" else range_image_middles(grid)
 
 
-def _returns(points: np.ndarray, radius: float, statistic: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The coordinates ``[M]`` of all returns from within the ball."""
+def _returns(
+    points: np.ndarray, radius: float, statistic: str, view: View | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The coordinates ``[M]`` of all returns from within the ball and the field of view."""
     if not isinstance(points, np.ndarray) or points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
         came = f"{points.dtype} {list(points.shape)}" if isinstance(points, np.ndarray) else type(points).__name__
         raise UavrlError(f"points must be an array of floats [P, 3], got {came}: pass one scan in metres.")
@@ -123,6 +135,8 @@ def _returns(points: np.ndarray, radius: float, statistic: str) -> tuple[np.ndar
         raise UavrlError(f"statistic must be one of {', '.join(get_args(Statistic))}, got {statistic!r}.")
     columns = Columns.of(points)
     x, y, z = columns.points.take(columns.between(return_bounds(radius)), axis=1)
+    if view is not None and not (seen := in_view(x, y, z, view)).all():
+        x, y, z = x[seen], y[seen], z[seen]
     return x, y, z
 
 

@@ -21,6 +21,7 @@ from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.perception.motion import OBJECT, threats
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.observation import Angles
+from uavrl_onboard.perception.view import VLP16_VIEW, View, with_rows
 from uavrl_onboard.policy import explanations as says
 from uavrl_onboard.policy.contract_parts import (
     ACTION,
@@ -150,6 +151,12 @@ class Contract(ContractPart):
             control_rate=self.rate_hz,
             flight_level=self.flight_level,
         )
+
+    @property
+    def view(self) -> View:
+        """The field of view that the cells read: that of the sensor of the training, and all rows of the cells."""
+        seen = VLP16_VIEW if self.cloud.lidar is None else self.cloud.lidar.field_of_view
+        return with_rows(seen, self.cells.grid.elevation) if self.cells.reduction == "range_image" else seen
 
     @property
     def guard_settings(self) -> GuardSettings:

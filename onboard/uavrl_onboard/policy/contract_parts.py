@@ -64,6 +64,7 @@ class LidarTerms(ContractPart):
     name: str
     field_of_view: Four
     unit: str = says.FIELD_OF_VIEW
+    outside: str = says.OUTSIDE
 
 
 class Cloud(ContractPart):

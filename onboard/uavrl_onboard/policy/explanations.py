@@ -17,6 +17,7 @@ MOMENT = "the cloud and the pose belong to the same moment, and the vehicle flie
 CLOUD_FRAME = "sensor: x forward, y left, z up; fixed to the vehicle, so that it tilts with the vehicle"
 SENSOR = "one revolution of a Velodyne VLP-16; the points may come in any order"
 FIELD_OF_VIEW = "degrees: the rightmost, leftmost, lowest and highest ray; 0 is ahead, left and up are positive"
+OUTSIDE = "points over 0.5 degrees outside field_of_view do not enter cells; a range image also takes those of its rows"
 POSITION = "sensor_position is measured in body axes from the centre of the airframe"
 MISS = "a point with a coordinate that is not finite, or with x² + y² + z² outside squared_range or at one of its ends"
 

@@ -134,7 +134,8 @@ class Policy:
             raise UavrlError(f"altitude, heading_deg and elevation_deg must be finite numbers, got {pose}.")
         own = None if self._motion is None else self._motion.checked(velocity, attitude, elapsed)
         cells, seen = terms.cells, np.full((1, 3), np.nan) if terms.cloud.blind else cloud
-        self.cells = reduced = REDUCTIONS[cells.reduction](seen, cells.radius, cells.statistic, **cells.options)
+        reduce, options = REDUCTIONS[cells.reduction], {**cells.options, "view": terms.view}
+        self.cells = reduced = reduce(seen, cells.radius, cells.statistic, **options)
         scales = {"radius": cells.radius, "flight_level": terms.flight_level}
         observed = navigation_observation(reduced, *pose, **scales, angles=terms.angles)
         if self._motion is not None and own is not None:

@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
-from tests.helpers.numpy_reductions import MISSES, PAIRS, check_clouds
+from tests.helpers.numpy_reductions import MISSES, PAIRS, check_clouds, clouds
 from uavrl.transforms import REDUCTIONS
 from uavrl.transforms.reduction import is_return as torch_is_return
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.geometry import NEAREST_RETURN, is_return, within
 from uavrl_onboard.lidar.vlp16 import firing_directions
 from uavrl_onboard.perception.reductions import directions, range_image
+from uavrl_onboard.perception.view import View
 
 
 @pytest.mark.parametrize("statistic", ["face", "range", "proximity"])
@@ -33,6 +35,26 @@ def test_a_whole_scan_and_other_radii_reduce_as_in_torch(ours: Any, name: Any) -
         cloud = scan.astype(dtype)
         theirs = REDUCTIONS[name].reduced(torch.from_numpy(cloud), radius, "range").numpy()
         np.testing.assert_allclose(ours(cloud, radius, "range"), theirs, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "view", [(-180.0, 180.0, -7.0, 52.0), (-43.5, 43.5, -29.0, 29.0), (-177.0, 178.0, -15.0, 15.0)]
+)
+@pytest.mark.parametrize(("ours", "name"), PAIRS)
+def test_what_another_sensor_sees_besides_is_in_no_cell(ours: Any, name: Any, view: View) -> None:
+    drawn = clouds(200, 20, seed=2)
+    x, y, z = drawn.astype(float).transpose(2, 0, 1)
+    azimuth, elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+    right, left, low, high = (angle + slack for angle, slack in zip(view, (-0.5, 0.5, -0.5, 0.5), strict=True))
+    seen = (azimuth > right) & (azimuth < left) & (elevation > low) & (elevation < high)
+    wanted = np.where(seen[..., None], drawn, np.nan).astype(np.float32)
+    reduction = REDUCTIONS[name]()
+    reduction.view = view
+    found = reduction(TensorDict(point_cloud=torch.from_numpy(drawn)))["faces"].numpy()
+    np.testing.assert_array_equal(found, REDUCTIONS[name].reduced(torch.from_numpy(wanted), 4.0, reduction.statistic))
+    onboard = np.stack([ours(cloud, 4.0, reduction.statistic, view=view) for cloud in drawn])
+    np.testing.assert_allclose(onboard, found, rtol=0, atol=1e-6)
+    assert (found != reduction.reduced(torch.from_numpy(drawn), 4.0, reduction.statistic).numpy()).any()
 
 
 def test_the_cells_lie_where_those_in_torch_lie() -> None:
