@@ -15,7 +15,13 @@ from uavrl.config import compose, resolve, validate
 from uavrl.config.settings import EvaluateConfig
 from uavrl.envs.sensors import SENSORS, lidar_sensor
 from uavrl.errors import UavrlError
-from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor, unseen_cells, with_trained_view
+from uavrl.evaluation.field_of_view import (
+    check_field_of_view,
+    trained_sensor,
+    unseen_cells,
+    warn_beyond_rows,
+    with_trained_view,
+)
 from uavrl.evaluation.overrides import with_overrides
 from uavrl.transforms import RangeImage
 
@@ -78,6 +84,24 @@ def test_a_policy_reads_what_its_own_sensor_could_have_seen(flown: list[str], tr
     seen = with_trained_view(perception(*flown), trained_with)
     assert seen["lidar"].trained_view == view
     assert {**seen, "lidar": None} == {**perception(*flown), "lidar": None}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["env.lidar=mid360"], ["mid360 sees from -7 to 52 degrees, and the rows of the cells reach from -15 to 15: "]),
+        (["env.lidar=os0_32"], ["perception.grid.elevation=[-45,45] gives all of it rows of its own."]),
+        (["env.lidar=mid360", "perception.grid.elevation=[-7,52]"], []),
+        (["env.lidar=xt32"], []),
+        (["env.lidar=os0_32", "perception=truncated_icosahedron"], []),
+    ],
+)
+def test_a_training_is_told_what_its_rows_do_not_reach(
+    overrides: list[str], told: list[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING):
+        warn_beyond_rows(perception(*overrides))
+    assert len(caplog.messages) == len(told) and all(words in caplog.text for words in told)
 
 
 def test_under_a_ceiling_a_sensor_that_looks_up_shows_what_the_sensor_of_the_training_does() -> None:

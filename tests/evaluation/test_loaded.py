@@ -39,6 +39,17 @@ def test_its_environment_has_what_it_reads_and_is_in_a_valley_of_its_own() -> No
     env.close()
 
 
+def test_it_flies_the_tasks_that_are_asked_for() -> None:
+    policy = uavrl.load_policy("best")
+    every = policy.make_env(*VALLEY, "randomize=none", num_uavs=4)
+    some = policy.make_env(*VALLEY, "randomize=none", num_uavs=2, tasks=[3, 1])
+    assert_close(some.reset()["observation"], every.reset()["observation"][[3, 1]])
+    with pytest.raises(UavrlError, match="tasks takes a list of one task or more"):
+        policy.make_env(tasks=[])
+    for env in (every, some):
+        env.close()
+
+
 def test_a_run_of_ones_own(run_dir: Path) -> None:
     policy = uavrl.load_policy(str(run_dir))
     env = policy.make_env(num_uavs=2, valleys=[3])

@@ -145,9 +145,10 @@ def _check(settings: TrainConfig) -> None:
     require_login(settings.logger, settings.packages)
     lidar = settings.perception.get("lidar")
     if lidar is not None and lidar.sensor != "vlp16":
-        from uavrl.evaluation.field_of_view import check_field_of_view
+        from uavrl.evaluation.field_of_view import check_field_of_view, warn_beyond_rows
 
         check_field_of_view(settings.perception, packages=settings.packages)
+        warn_beyond_rows(settings.perception, settings.packages)
 
 
 def _check_machine(config: DictConfig) -> None:

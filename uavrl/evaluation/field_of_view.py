@@ -16,6 +16,7 @@ from uavrl.errors import UavrlError
 from uavrl.transforms import PointCloudReduction, RangeImage
 from uavrl_onboard.perception.view import with_rows
 
+BEYOND = 5.0  # degrees over the highest row, or under the lowest, from which on a training is warned
 ALL_AROUND = (-180.0, 180.0)  # degrees
 TRAINED_WITH = "vlp16"  # policies whose configuration does not name their sensor
 _SCANS = 5  # of a pattern that changes: half a second, as much as the frames of a state
@@ -116,6 +117,26 @@ def check_field_of_view(
         f"another env.lidar, train a policy for this one with uavrl-train env.lidar={device.name}, or fly nevertheless "
         "with allow_unseen=true."
     )
+
+
+def warn_beyond_rows(perception: Mapping[str, Any], packages: Iterable[str] = ()) -> None:
+    """Warn before a training if the LiDAR sees farther up or down than the rows of the cells reach."""
+    lidar, reduction = perception.get("lidar"), _reduction(perception, packages)
+    if not isinstance(lidar, LidarConfig) or not isinstance(reduction, RangeImage):
+        return
+    (low, high), rows = lidar.device.field_of_view[2:], reduction.grid.elevation
+    if low < rows[0] - BEYOND or high > rows[1] + BEYOND:
+        log.warning(
+            "The LiDAR %s sees from %g to %g degrees, and the rows of the cells reach from %g to %g: what lies above "
+            "or below counts in the outermost rows, so a ceiling reads like a wall. perception.grid.elevation=[%g,%g] "
+            "gives all of it rows of its own.",
+            lidar.device.name,
+            low,
+            high,
+            *rows,
+            low,
+            high,
+        )
 
 
 def _reduction(perception: Mapping[str, Any], packages: Iterable[str]) -> PointCloudReduction | None:

@@ -85,6 +85,7 @@ class LoadedPolicy(PolicyModule):
         num_uavs: int = 1,
         valleys: Sequence[int] | None = None,
         seed: int = 20_000,
+        tasks: Sequence[int] | None = None,
         keep_cloud: bool = False,
         guards: Any = None,
         allow_unseen: bool = False,
@@ -98,6 +99,8 @@ class LoadedPolicy(PolicyModule):
             valleys: seeds of the valleys, each built when a task needs it; by default 100, which no packaged policy
                 was trained in.
             seed: of the tasks.
+            tasks: those to fly, in this order; None: all from 0 on. Task 24 of ``uavrl-evaluate`` is ``tasks=[24]``
+                with ``valleys=range(100, 110)``.
             keep_cloud: whether it also gives the point clouds, and whether an episode begins.
             guards: filters between the policy and the environment: ``"all"``, ``"none"`` or a list of names, as
                 :func:`~uavrl_onboard.guards.settings.guard_settings` reads it. None: those of the policy.
@@ -129,6 +132,8 @@ class LoadedPolicy(PolicyModule):
         unseen = "world" in run.env and run.env.world.VARIES and "env.world.seeds" not in keys
         if valleys is not None or unseen:
             run.env["world"] = replace(run.env.world, seeds=tuple(valleys or [FIRST_UNSEEN]))
+        if tasks is not None:
+            require_valley(run.env, run.choices, "tasks")
         chosen = guard_settings(guards, self.guards)
         sensor = trained_sensor(self.config)
         check_field_of_view(run.perception, sensor, run.packages, allowed=allow_unseen)
@@ -137,6 +142,7 @@ class LoadedPolicy(PolicyModule):
             "packages": run.packages,
             "num_uavs": num_uavs,
             "seed": seed,
+            "tasks": tasks,
             "keep_cloud": keep_cloud,
             "mark_resets": keep_cloud,
             "recurrent_state": self.recurrent_state,
