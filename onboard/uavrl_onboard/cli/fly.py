@@ -53,11 +53,14 @@ class HullConfig:
         radius: radius of the hull, in m; null: as in the policy's contract
         height: height of the hull, in m; null: as in the policy's contract
         sensor: height of the LiDAR above the hull's middle, on its axis, in m; null: as in the policy's contract
+        elevations: [lowest,highest] ray of the LiDAR in degrees, between which evasion looks for moving objects; null:
+            as in the policy's contract
     """
 
     radius: Positive | None = None
     height: Positive | None = None
     sensor: float | None = None
+    elevations: tuple[float, float] | None = None
 
 
 @dataclass
@@ -117,6 +120,9 @@ class FlyConfig(LidarKeys):
         goal = self.goal is not None and len(self.goal) == 3
         require(goal, "goal", "three numbers, [x,y,z] in m from the autopilot's origin", self.goal)
         guard_settings(self.guards, GuardSettings.all())  # names and values; which ones are on, the contract says
+        rays = self.hull.elevations
+        sound = rays is None or -90.0 <= rays[0] <= rays[1] <= 90.0
+        require(sound, "hull.elevations", "[lowest,highest] in [-90, 90] degrees", rays)
         dry = self.autopilot is None or self.is_live
         require(dry, "lidar", "a sensor, udp://:2368: a recording flies nothing but autopilot=null", self.lidar)
         asked = [key for key in ("set_mode", "arm", "system", "signing_key_file") if getattr(self, key)]
@@ -235,6 +241,7 @@ def make_vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
         radius=hull.radius or trained.radius,
         height=hull.height or trained.height,
         lidar_position=trained.lidar_position if hull.sensor is None else (0.0, 0.0, hull.sensor),
+        lidar_elevations=hull.elevations or trained.lidar_elevations,
         velocity_limit=limits.velocity,
         yaw_rate_limit=limits.yaw_rate,
     )

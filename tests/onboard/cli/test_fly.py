@@ -212,6 +212,11 @@ def test_how_a_flight_ended_is_told_before_its_numbers_are_written(
         (["policy=none", GOAL, "system=0"], "system must be"),
         (["policy=none", GOAL, "autopilot=ros2:///odom", "signing_key_file=k"], "udp://:14540 with signing_key_file"),
         (["policy=none", GOAL, "hull.radius=0"], "hull.radius must be above 0, got 0"),
+        (
+            ["policy=none", GOAL, "hull.elevations=[52,-7]"],
+            "hull.elevations must be [lowest,highest] in [-90, 90] degrees, got",
+        ),
+        (["policy=none", GOAL, "hull.elevations=40"], "hull.elevations must be a list, got 40"),
         (["policy=none", GOAL, "guards=typo"], "There is no guard 'typo'; the guards are map, evasion, shield"),
         (["policy=none", GOAL, "guards=[map,typo]"], "There is no guard 'typo'; the guards are map, evasion, shield"),
         (["policy=none", GOAL, "guards.shield.margin=-1"], "guards.shield.margin must be at least 0, got -1"),
@@ -257,7 +262,13 @@ def test_guards_are_the_contracts_or_those_asked_for_and_know_the_vehicle(
     assert terms is not None
     edit_contract(guarded, lambda contract: contract.update(guards=terms.model_dump(mode="json")))
     recording = [*(each for each in RECORDING if each != "log=null"), f"log={tmp_path / 'flight.mcap'}"]
-    vehicle = ("hull.radius=0.3", "hull.height=0.2", "hull.sensor=0.15", "safety.velocity=1.5")
+    vehicle = (
+        "hull.radius=0.3",
+        "hull.height=0.2",
+        "hull.sensor=0.15",
+        "hull.elevations=[-7,52]",
+        "safety.velocity=1.5",
+    )
     for folder, told in (
         (guarded, ("guards.shield.margin=0.2", *vehicle)),
         (guarded, ()),
@@ -269,6 +280,7 @@ def test_guards_are_the_contracts_or_those_asked_for_and_know_the_vehicle(
     assert [guards.settings.names for guards in made] == [("map", "evasion", "shield")] * 2 + [(), ("evasion",), ()]
     own, usual, *_ = (guards.vehicle for guards in made)
     assert (own.hull, own.lidar_above, own.velocity_limit) == ((0.3, 0.1), 0.15, 1.5)
+    assert (own.lidar_elevations, usual.lidar_elevations) == ((-7, 52), (-15, 15))
     assert (usual.hull, usual.lidar_above, usual.velocity_limit) == ((0.4, 0.14), 0.1, 2.0)
     changed, far = made[0].settings.shield, made[3].settings.evasion
     assert changed is not None and changed.margin == 0.2 and far is not None and far.sight == 9.0
