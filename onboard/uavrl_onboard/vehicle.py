@@ -39,6 +39,7 @@ class Vehicle:
         lowest: Lowest altitude at which it may fly, in m above the flight level; negative.
         highest: Highest altitude at which it may fly, in m above the flight level.
         lidar_elevations: Lowest and highest ray of the LiDAR in degrees, between which motion is looked for.
+        lidar_repeats: Whether each of its scans has the same rays, for the same purpose.
 
     Raises:
         UavrlError: for a number that is not finite, a size, limit, rate or level that is not above 0, a LiDAR position
@@ -59,6 +60,7 @@ class Vehicle:
     lowest: float = -2.3
     highest: float = 0.7
     lidar_elevations: tuple[float, float] = (-15.0, 15.0)
+    lidar_repeats: bool = True
 
     def __post_init__(self) -> None:
         """Refuse a vehicle that nothing can be computed with."""

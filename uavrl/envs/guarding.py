@@ -47,4 +47,6 @@ def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
     if guards.shield is not None and guards.shield.nearest is None:
         guards = replace(guards, shield=replace(guards.shield, nearest=lidar.nearest))
     vehicle = base.airframe.vehicle(base.world_config.flight_level, base.max_speed)
-    return Guarded(guards, vehicle=replace(vehicle, lidar_elevations=lidar.device.field_of_view[2:]))
+    device = lidar.device
+    vehicle = replace(vehicle, lidar_elevations=device.field_of_view[2:], lidar_repeats=device.repeats)
+    return Guarded(guards, vehicle=vehicle)

@@ -45,7 +45,8 @@ class LidarConfig:
         dropout: probability in [0, 1) that a hit is not reported.
         motion_distortion: whether the sensor moves on during a spin.
         far_range: to which the rays of one direction in each degree reach at least, in metres, for what looks farther
-            and needs fewer rays, as :class:`uavrl.transforms.MovingObjects` does. None: as far as the others.
+            and needs fewer rays, as :class:`uavrl.transforms.MovingObjects` does; of a sensor whose rays change from
+            scan to scan, all do. None: as far as the others.
         sensor: a name of :data:`uavrl.envs.sensors.SENSORS`, a YAML file, whose settings are then kept, the settings of
             a :class:`uavrl.envs.LidarSensor`, or one itself.
         trained_view: the field of view that a policy's cells read, where the policy was trained with another sensor:
@@ -167,7 +168,9 @@ class Lidar:
         for directions in rays.directions:
             far = np.empty(0, np.int64)
             if self._farthest > self._nearest:
-                far = np.sort(far_ray_indices(directions))
+                far = np.arange(len(directions))
+                if self.sensor.repeats:
+                    far = np.sort(far_ray_indices(directions))
             reach = np.full(len(directions), self._nearest, np.float32)
             reach[far] = self._farthest
             self._far_rays.append(far)

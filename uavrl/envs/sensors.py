@@ -141,6 +141,16 @@ class LidarSensor:
         return rays_of(self)
 
     @property
+    def repeats(self) -> bool:
+        """Whether each scan has the same rays, apart from ``stride``.
+
+        Examples:
+            >>> SENSORS["os0_32"].repeats, SENSORS["mid360"].repeats
+            (True, False)
+        """
+        return len(self.rays.directions) == self.stride
+
+    @property
     def field_of_view(self) -> tuple[float, float, float, float]:
         """Right, left, lowest and highest direction of any ray in degrees, rounded to a tenth.
 
@@ -196,7 +206,7 @@ SENSORS: Mapping[str, LidarSensor] = {
 """The sensors that ``env.lidar=NAME`` chooses."""
 
 _MID360_RAYS, _MID360_SCANS = 20_000, 40
-_MID360_TURNS, _MID360_SWEEPS = 9.71, 2037.3  # per s: no whole numbers, so that no scan repeats the one before
+_MID360_TURNS, _MID360_SWEEPS = 10.29, 2037.3  # per s: no whole numbers, so that no scan repeats the one before
 _MID360_ELEVATION = (-7.0, 52.0)
 _D435_PIXELS, _D435_HALF = (106, 60), (43.5, 29.0)  # columns and rows; degrees to the side and up
 

@@ -100,7 +100,7 @@ def _write_network(output: Path, actor: TensorDictModuleBase, terms: Contract) -
 def _lidar(settings: TrainConfig) -> LidarTerms:
     """Return what the contract says about the LiDAR of the training."""
     device = (settings.perception.get("lidar") or LidarConfig()).device
-    return LidarTerms(name=device.name, field_of_view=device.field_of_view)
+    return LidarTerms(name=device.name, field_of_view=device.field_of_view, repeats=device.repeats)
 
 
 def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings | None = None) -> Contract | None:

@@ -12,11 +12,22 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from uavrl.entries import entry, entry_spec
 from uavrl.transforms.numpy_boundary import call_numpy
 from uavrl.transforms.through_time import ThroughTime
+from uavrl_onboard.geometry import Columns, is_return
 from uavrl_onboard.perception.cells import LASERS
 from uavrl_onboard.perception.motion import OBJECT, MotionSight
+from uavrl_onboard.perception.motion.rays import ScanPattern
 from uavrl_onboard.vehicle import VEHICLE
 
 __all__ = ["OBJECT", "MotionSight", "MovingObjects"]
+
+
+def searched_alone(clouds: np.ndarray, pattern: ScanPattern) -> np.ndarray:
+    """Returns clouds ``[N, P, 3]`` whose points that are not searched for motion are NaN."""
+    found = np.full_like(clouds, np.nan)
+    for cloud, kept in zip(clouds, found, strict=True):
+        at = np.flatnonzero(is_return(cloud)).take(pattern.searched(Columns.of(cloud)))
+        kept[at] = cloud[at]
+    return found
 
 
 class MovingObjects(ThroughTime):
@@ -30,6 +41,7 @@ class MovingObjects(ThroughTime):
         max_range: how far is looked, m.
         objects: K that are reported.
         every: of the points, only those of every such firing cycle of 16 count, which the sensor must order so; 1: all.
+            Of another sensor than a VLP-16, ``pattern`` says which count.
         period: time between two scans, s.
         in_keys: point clouds ``[*B, P, 3]`` (m, sensor frame), velocities ``[*B, 3]`` (m/s, world axes) and attitudes
             ``[*B, 3]`` (roll, pitch and yaw in rad).
@@ -49,6 +61,7 @@ class MovingObjects(ThroughTime):
     """
 
     alone = "MotionSight"
+    pattern: ScanPattern | None = None  # None: of a VLP-16, whose points come in the order of firing
 
     def __init__(
         self,
@@ -77,10 +90,13 @@ class MovingObjects(ThroughTime):
         cloud, velocity, attitude = (entry(data, key, self) for key in self.in_keys)
         batch = cloud.shape[:-2]
         if self._sight is None or len(self._last) != count:
-            self._sight = MotionSight(count, self.max_range, self.objects, self.period)
+            pattern = self.pattern or ScanPattern()
+            self._sight = MotionSight(count, self.max_range, self.objects, self.period, pattern)
             self._last = torch.zeros(count, self.objects, len(OBJECT), dtype=torch.float32)
         points = cloud.detach().reshape(count, *cloud.shape[-2:])
-        if self.every > 1:
+        if self.pattern is not None:
+            points = torch.from_numpy(searched_alone(points.cpu().numpy(), self.pattern))
+        elif self.every > 1:
             points = points.unflatten(-2, (-1, LASERS))[:, :: self.every].flatten(1, 2)
         if begins:
             self._sight.reset(which)

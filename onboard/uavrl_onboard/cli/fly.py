@@ -55,12 +55,14 @@ class HullConfig:
         sensor: height of the LiDAR above the hull's middle, on its axis, in m; null: as in the policy's contract
         elevations: [lowest,highest] ray of the LiDAR in degrees, between which evasion looks for moving objects; null:
             as in the policy's contract
+        repeats: whether each scan of the LiDAR has the same rays, false for a Livox; null: as in the policy's contract
     """
 
     radius: Positive | None = None
     height: Positive | None = None
     sensor: float | None = None
     elevations: tuple[float, float] | None = None
+    repeats: bool | None = None
 
 
 @dataclass
@@ -242,6 +244,7 @@ def make_vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
         height=hull.height or trained.height,
         lidar_position=trained.lidar_position if hull.sensor is None else (0.0, 0.0, hull.sensor),
         lidar_elevations=hull.elevations or trained.lidar_elevations,
+        lidar_repeats=trained.lidar_repeats if hull.repeats is None else hull.repeats,
         velocity_limit=limits.velocity,
         yaw_rate_limit=limits.yaw_rate,
     )

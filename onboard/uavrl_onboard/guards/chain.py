@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import Columns
 from uavrl_onboard.guards.evasion import Evasion
 from uavrl_onboard.guards.map import Wayfinder
 from uavrl_onboard.guards.protocol import Guard, Situation
 from uavrl_onboard.guards.settings import EvasionSettings, GuardSettings, MapSettings, ShieldSettings
 from uavrl_onboard.guards.shield import Shields
-from uavrl_onboard.perception.motion.occlusion import Grid, Returns
-from uavrl_onboard.perception.motion.rays import far_rays_of
+from uavrl_onboard.perception.motion.occlusion import Returns
+from uavrl_onboard.perception.motion.rays import ScanPattern
 from uavrl_onboard.perception.motion.sight import MotionSight
 from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
@@ -72,9 +71,9 @@ class Guards:
         if settings.evasion is not None:
             import scipy.spatial  # noqa: F401 - now, and not in flight with the first body that moves
 
-            grid = Grid.of_elevations(*vehicle.lidar_elevations)
+            self._pattern = ScanPattern(*vehicle.lidar_elevations, repeats=vehicle.lidar_repeats)
             seen = settings.evasion
-            self._sight = MotionSight(vehicles, seen.sight, seen.objects, vehicle.period, grid)
+            self._sight = MotionSight(vehicles, seen.sight, seen.objects, vehicle.period, self._pattern)
         self._seen: Situation | None = None
 
     def reset(self, which: np.ndarray | None = None, *, keep_map: bool = False) -> None:
@@ -126,7 +125,8 @@ class Guards:
     def _detect_motion(self, sight: MotionSight, seen: Situation, before: Situation | None) -> None:
         """Write into ``seen`` what moves; vehicles without a new scan keep what they saw before."""
         which = np.ones(self.vehicles, bool) if seen.which is None else seen.which
-        points = [far_points(seen.columns(one)) if which[one] else NOTHING for one in range(self.vehicles)]
+        scans = (seen.columns(one) if which[one] else None for one in range(self.vehicles))
+        points = [NOTHING if scan is None else scan.points.take(self._pattern.searched(scan), axis=1) for scan in scans]
         owners = np.repeat(np.arange(self.vehicles), [each.shape[1] for each in points])
         returns = Returns.of_points(np.concatenate(points, 1), owners, sight.max_range)
         seen.objects = sight.look_at(returns, seen.velocities, seen.attitudes, which, seen.elapsed)
@@ -136,8 +136,3 @@ class Guards:
                 seen.moving[one] = sight.of_bodies(seen.columns(one), one)
             elif before is not None:
                 seen.objects[one] = before.objects[one]
-
-
-def far_points(columns: Columns) -> np.ndarray:
-    """Return the points of a scan that look for motion, ``[3, Q]``."""
-    return columns.points.take(far_rays_of(columns), axis=1)

@@ -141,7 +141,9 @@ class Contract(ContractPart):
         """The vehicle that the policy was trained to fly; its hull is that of the guards, if there are any."""
         velocity_limit, _, _, yaw_rate_limit = self.action.high
         lidar = self.cloud.lidar
-        about: dict[str, Any] = {} if lidar is None else {"lidar_elevations": lidar.field_of_view[2:]}
+        about: dict[str, Any] = {}
+        if lidar is not None:
+            about = {"lidar_elevations": lidar.field_of_view[2:], "lidar_repeats": lidar.repeats}
         about |= {} if self.guards is None else {"radius": self.guards.radius, "height": self.guards.height}
         return Vehicle(
             **about,

@@ -65,6 +65,8 @@ class LidarTerms(ContractPart):
     field_of_view: Four
     unit: str = says.FIELD_OF_VIEW
     outside: str = says.OUTSIDE
+    repeats: bool = True  #: whether each scan has the same rays
+    repeats_means: str = says.REPEATS
 
 
 class Cloud(ContractPart):

@@ -18,6 +18,10 @@ CLOUD_FRAME = "sensor: x forward, y left, z up; fixed to the vehicle, so that it
 SENSOR = "one revolution of a Velodyne VLP-16; the points may come in any order"
 FIELD_OF_VIEW = "degrees: the rightmost, leftmost, lowest and highest ray; 0 is ahead, left and up are positive"
 OUTSIDE = "points over 0.5 degrees outside field_of_view do not enter cells; a range image also takes those of its rows"
+REPEATS = (
+    "whether each scan has the same rays. If not, all returns are searched for motion, and three of the last four "
+    "scans must have seen through where something moves. If so, two must, and one of a VLP-16"
+)
 POSITION = "sensor_position is measured in body axes from the centre of the airframe"
 MISS = "a point with a coordinate that is not finite, or with x² + y² + z² outside squared_range or at one of its ends"
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import world_to_yaw
+from uavrl_onboard.geometry import Columns, world_to_yaw
 from uavrl_onboard.perception.motion import MotionSight
-from uavrl_onboard.perception.motion.rays import far_rays
+from uavrl_onboard.perception.motion.rays import ScanPattern
 from uavrl_onboard.perception.motion.sight import scales
 from uavrl_onboard.perception.motion.threats import DIRECTIONS, GREATEST, greatest_threats, straight_on
 
@@ -23,11 +23,12 @@ class MotionReader:
 
     Args:
         terms: what the contract says of it.
+        pattern: how the rays of the LiDAR lie.
     """
 
-    def __init__(self, terms: MotionTerms) -> None:
-        self._period = terms.period
-        self._sight = MotionSight(1, terms.max_range, terms.objects, terms.period)
+    def __init__(self, terms: MotionTerms, pattern: ScanPattern = ScanPattern()) -> None:  # noqa: B008 - a tuple
+        self._period, self._pattern = terms.period, pattern
+        self._sight = MotionSight(1, terms.max_range, terms.objects, terms.period, pattern)
         self._scales = np.array(scales(terms.max_range), np.float32)
         standing = np.zeros((1, 3), np.float32)
         self._commanded = np.concatenate([np.float32(terms.threats.speed) * DIRECTIONS, standing])
@@ -56,7 +57,9 @@ class MotionReader:
 
     def __call__(self, cloud: np.ndarray, velocity: np.ndarray, attitude: np.ndarray, elapsed: float) -> np.ndarray:
         """Takes in another scan ``[P, 3]``; returns objects and threats, scaled, ``float32``."""
-        objects = self._sight.look(far_rays(cloud)[None], velocity[None], attitude[None], elapsed=elapsed)
+        scan = Columns.of(cloud)
+        searched = scan.rows(self._pattern.searched(scan))
+        objects = self._sight.look(searched[None], velocity[None], attitude[None], elapsed=elapsed)
         own = world_to_yaw(velocity[None].astype(np.float32), attitude[None, 2].astype(np.float32))
         threats = greatest_threats(self._commanded[None], own, *straight_on(objects.reshape(1, -1)))
         return np.concatenate([(objects / self._scales).ravel(), threats[0] / GREATEST]).astype(np.float32)

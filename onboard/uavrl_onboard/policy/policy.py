@@ -12,6 +12,7 @@ import numpy as np
 
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.libraries import needed
+from uavrl_onboard.perception.motion.rays import ScanPattern
 from uavrl_onboard.perception.observation import FrameStack, navigation_observation
 from uavrl_onboard.perception.reductions import REDUCTIONS
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, REMEDY, Contract, read_contract, read_file
@@ -59,7 +60,9 @@ class Policy:
     def _begin(self) -> None:
         limit, frames = self.contract.action_limit, self.contract.state.frames
         self._state = FrameStack(frames, limit is not None, limit or 1.0)
-        self._motion = None if self.contract.motion is None else MotionReader(self.contract.motion)
+        vehicle, motion = self.contract.vehicle, self.contract.motion
+        pattern = ScanPattern(*vehicle.lidar_elevations, repeats=vehicle.lidar_repeats)
+        self._motion = None if motion is None else MotionReader(motion, pattern)
         self.cells = None
         self.last_action = np.zeros(len(self.contract.action.order), np.float32)
         self._memory = self._network.new_memory(1)

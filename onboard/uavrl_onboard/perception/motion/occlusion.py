@@ -25,18 +25,22 @@ class Grid(NamedTuple):
     highest: float = np.radians(15.0)
 
     @classmethod
-    def of_elevations(cls, lowest: float, highest: float) -> "Grid":
-        """Return the grid for rays between two elevations in degrees, with a row for every 2 degrees.
+    def of_elevations(cls, lowest: float, highest: float, coarse: bool = False) -> "Grid":
+        """Return the grid for rays between two elevations in degrees, with cells of 2 by 1 degrees.
+
+        ``coarse`` cells are 3 degrees high and 1.5 wide, so that the nine cells around a direction always hold some
+        rays of a pattern that changes.
 
         Examples:
-            >>> Grid.of_elevations(-15.0, 15.0) == Grid(), Grid.of_elevations(-7.0, 52.0).rows
-            (True, 31)
+            >>> Grid.of_elevations(-15.0, 15.0) == Grid(), Grid.of_elevations(-7.0, 52.0, coarse=True).rows
+            (True, 21)
         """
         if highest - lowest < 2.0:  # one plane
             middle = (lowest + highest) / 2
             lowest, highest = middle - 1.0, middle + 1.0
-        rows = round((highest - lowest) / 2.0) + 1
-        return cls(rows=rows, lowest=np.radians(lowest), highest=np.radians(highest))
+        rows = max(2, round((highest - lowest) / (3.0 if coarse else 2.0)) + 1)
+        columns = 240 if coarse else cls().columns
+        return cls(rows=rows, columns=columns, lowest=np.radians(lowest), highest=np.radians(highest))
 
     def cells(self, points: np.ndarray, ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Row, with its fraction, and column of each of ``points [3, M]`` at ``ranges [M]``."""

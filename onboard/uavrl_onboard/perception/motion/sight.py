@@ -6,7 +6,8 @@ from itertools import pairwise
 import numpy as np
 
 from uavrl_onboard.geometry import Columns, body_to_world, yaw_rotation
-from uavrl_onboard.perception.motion.occlusion import CellIndices, EarlierScans, Grid, Returns, find_returns
+from uavrl_onboard.perception.motion.occlusion import CellIndices, EarlierScans, Returns, find_returns
+from uavrl_onboard.perception.motion.rays import ScanPattern
 from uavrl_onboard.perception.motion.registration import LEAST_COMPARED, orthonormal, point_images, register, sample
 from uavrl_onboard.perception.motion.tracks import AROUND, LINK, LabelledReturns, Track, follow, nearby
 from uavrl_onboard.vehicle import VEHICLE
@@ -42,7 +43,7 @@ class MotionSight:
         max_range: how far is looked, m; the scans must reach as far.
         objects: K that are reported, the nearest.
         period: time between two scans, s.
-        grid: cells of the range images that are compared; the default's are the lasers of a VLP-16 and degrees.
+        pattern: how the rays of the sensors lie; by default as those of a VLP-16.
 
     Examples:
         A ball of 0.3 m flies to the left at 3 m/s, 6 m ahead of a sensor in free air:
@@ -61,10 +62,11 @@ class MotionSight:
         max_range: float = 12.0,
         objects: int = 3,
         period: float = VEHICLE.period,
-        grid: Grid | None = None,
+        pattern: ScanPattern = ScanPattern(),  # noqa: B008 - a tuple
     ) -> None:
         self.max_range, self.objects, self.period = max_range, objects, period
-        self._scans = EarlierScans(sensors, DEPTH, Grid() if grid is None else grid, max_range)
+        self._scans = EarlierScans(sensors, DEPTH, pattern.grid, max_range)
+        self._agreeing = pattern.agreeing
         self._ages = np.zeros(sensors, np.int64)  # of earlier scans, how many are known
         self._positions, self._velocities = np.zeros((2, sensors, 3))  # since the first scan
         self._rotations, self._attitudes = np.tile(np.eye(3), (2, sensors, 1, 1))
@@ -183,17 +185,19 @@ class MotionSight:
     def _moving(self, world: np.ndarray, clouds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Which returns ``[3, M]`` may be of moving bodies, and which of these are fresh: ``bool [M]`` each.
 
-        What the oldest scan saw where it is now has stayed; the rest is fresh where any earlier scan saw through.
+        What the oldest scan saw where it is now has stayed; the rest is fresh where as many earlier scans saw through
+        as have to agree.
         """
         beyond = self._scans.beyond(world, clouds, np.maximum(self._ages, 1))
         left = ~(np.abs(beyond) <= MARGIN)  # also where nothing is known
         moving = np.flatnonzero(left & (self._ages > 0)[clouds])
-        fresh, ages = beyond.take(moving) > MARGIN, self._ages.take(clouds.take(moving))
+        agree, ages = (beyond.take(moving) > MARGIN).astype(np.int64), self._ages.take(clouds.take(moving))
         for age in range(1, DEPTH):
-            asked = np.flatnonzero(~fresh & (ages > age))
+            asked = np.flatnonzero((agree < self._agreeing) & (ages > age))
             at = moving.take(asked)
             seen = self._scans.beyond(world.take(at, axis=1), clouds.take(at), np.full(len(self._ages), age))
-            fresh[asked] = seen > MARGIN
+            agree[asked] += seen > MARGIN
+        fresh = agree >= self._agreeing
         masks = np.zeros((2, len(clouds)), bool)
         masks[0, moving], masks[1, moving[fresh]] = True, True
         return masks[0], masks[1]
