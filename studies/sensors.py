@@ -12,6 +12,7 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ import torch
 from uavrl import load_policy
 from uavrl.config import validate
 from uavrl.envs.sensors import SENSORS
-from uavrl.evaluation.field_of_view import trained_sensor, unseen_cells
+from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor
 from uavrl.evaluation.rollout import rollout_episodes
 from uavrl.evaluation.summary import summarize
 from uavrl.runs.episodes import rate_cell
@@ -42,9 +43,9 @@ def row(policy: str, world: str, sensor: str, guards: str, episodes: int, vehicl
         found = summarize(rollout_episodes(env, loaded, episodes, progress=False))
     finally:
         env.close()
-    perception = validate(loaded.config).perception
-    seen_before = set(unseen_cells(perception, trained_sensor(loaded.config))[0])
-    unseen = len(set(unseen_cells(perception, sensor)[0]) - seen_before)
+    perception, trained = validate(loaded.config).perception, trained_sensor(loaded.config)
+    flown = {**perception, "lidar": replace(perception["lidar"], sensor=sensor)}
+    unseen = check_field_of_view(flown, trained, allowed=True)
     kept = ("success", "outcomes", "steps_per_arrival")
     told = {"policy": policy, "world": world, "sensor": sensor, "guards": guards, "episodes": episodes, "seed": SEED}
     return told | {key: found[key] for key in kept} | {"unseen_cells": unseen, "seconds": time.monotonic() - begun}

@@ -117,6 +117,13 @@ def test_under_a_ceiling_a_sensor_that_looks_up_shows_what_the_sensor_of_the_tra
     assert ((RangeImage.reduced(cloud) - cells["vlp16"]).abs() > 1.0).sum() >= 10, "as all points would show it"
 
 
+def test_rays_that_the_cells_do_not_read_do_not_count_as_seen(tmp_path: Path) -> None:
+    """Of beams at -20, 0 and 20 degrees a policy of a VLP-16 reads those ahead alone."""
+    (tmp_path / "three.yaml").write_text("elevations: [-20, 0, 20]\nazimuth_steps: 720\n")
+    with pytest.raises(UavrlError, match="The LiDAR three never sees 48 of the 72 cells"):
+        check_field_of_view(perception(f"env.lidar={tmp_path / 'three.yaml'}"), "vlp16")
+
+
 def test_a_run_keeps_its_sensor_and_its_speed_in_another_environment() -> None:
     run = resolve(compose("preset=dagger", "env.lidar=mid360", "env.max_speed=4", "run_dir=x"))
     assert run.perception.lidar.sensor == trained_sensor(run) == "mid360" and "lidar" not in run.env

@@ -58,6 +58,12 @@ def cell_of(points: np.ndarray, cells: dict[str, Any]) -> np.ndarray:
 
 def cell_values(points: np.ndarray, terms: dict[str, Any]) -> np.ndarray:
     cells, points = terms["cells"], returns(points, terms["cloud"])
+    right, left, low, high = terms["cloud"]["lidar"]["cells_see"]
+    azimuth, elevation = (
+        np.degrees(np.arctan2(*each)) for each in (points.T[[1, 0]], (points[:, 2], np.hypot(*points.T[:2])))
+    )
+    seen = (azimuth >= right - 0.5) & (azimuth <= left + 0.5) & (elevation >= low - 0.5) & (elevation <= high + 0.5)
+    points = points[seen]
     cell, centre = cell_of(points, cells), 0.0
     points, cell = points[cell >= 0], cell[cell >= 0]
     if cells["statistic"] == "face":
@@ -212,6 +218,8 @@ def test_a_contract_names_the_sensor_and_the_speed_of_the_training() -> None:
     assert slow["action"]["high"] == [2.0, 2.0, 2.0, 2.0]
     assert fast["cloud"]["lidar"]["name"] == "mid360" and "mid360" in fast["cloud"]["sensor"]
     assert fast["cloud"]["lidar"]["field_of_view"] == [-180.0, 180.0, -7.0, 52.0]
+    assert slow["cloud"]["lidar"]["cells_see"] == [-180.0, 180.0, -15.0, 15.0] and slow["cloud"]["lidar"]["repeats"]
+    assert fast["cloud"]["lidar"]["cells_see"] == [-180.0, 180.0, -15.0, 52.0] and not fast["cloud"]["lidar"]["repeats"]
     assert fast["action"]["high"] == [6.0, 6.0, 6.0, 2.0] and fast["action"]["low"] == [-6.0, -6.0, -6.0, -2.0]
     assert fast["cells"]["radius"] == 6.0
     last = next(entry for entry in fast["observation"] if entry["name"] == "last_action")

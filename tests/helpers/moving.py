@@ -14,9 +14,11 @@ from torchrl.envs import EnvBase
 from tests.helpers.scenes import box, terrain
 from tests.helpers.small_env import SmallEnv
 from uavrl.envs.lidar import Lidar
+from uavrl.transforms.motion import searched_alone
 from uavrl_onboard.geometry import body_to_world
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.motion import MotionSight
+from uavrl_onboard.perception.motion.rays import ScanPattern
 
 BODY = box((0.0, 0.0, 0.0), (0.8, 0.8, 0.5))
 
@@ -42,7 +44,7 @@ class Vehicle:
         """Cloud, position and attitude, one vehicle."""
         for step, body in enumerate(bodies):
             place, attitude = self.at(step)
-            yield lidar.scan(place[None], body_to_world(attitude[None]), body), place, attitude
+            yield lidar.scan(place[None], body_to_world(attitude[None]), body, numbers=[step]), place, attitude
 
     def seen(
         self,
@@ -52,12 +54,15 @@ class Vehicle:
         *,
         noisy: bool = False,
         wrong: tuple[float, float, float] = (0.0, 0.0, 0.0),  # degrees of roll, pitch and yaw, new at each scan
+        pattern: ScanPattern | None = None,  # of another sensor than a VLP-16
     ) -> np.ndarray:
         """What is reported after each scan, in world axes from where the vehicle began, ``[T, K, 7]``."""
-        sight, found, rng = sight or MotionSight(1), [], np.random.default_rng(0)
+        sight = sight or MotionSight(1, pattern=pattern or ScanPattern())
+        found, rng = [], np.random.default_rng(0)
         bias = np.radians([1.0, -1.0, 2.0]) * noisy  # of an autopilot's roll, pitch and yaw
         for cloud, place, attitude in self.scans(lidar, iter(bodies)):
-            far = cloud.reshape(1, 1808, 16, 3)[:, ::5].reshape(1, -1, 3)
+            far = cloud.reshape(1, 1808, 16, 3)[:, ::5] if pattern is None else searched_alone(cloud, pattern)
+            far = far.reshape(1, -1, 3)
             velocity = self.velocity + rng.normal(0, 0.1, 3) * (noisy or any(wrong))
             said = attitude + bias + (np.radians(wrong) * rng.normal(0, 1, 3) if any(wrong) else 0.0)
             objects = sight.look(far, velocity[None], said[None])[0].astype(float)

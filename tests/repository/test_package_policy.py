@@ -20,6 +20,8 @@ from uavrl.errors import UavrlError
 from uavrl.evaluation.actor import load_actor
 from uavrl.evaluation.policies import load_policy
 from uavrl.evaluation.suite import scenarios
+from uavrl_onboard.policy import explanations
+from uavrl_onboard.policy.contract import Contract
 
 
 @pytest.fixture
@@ -102,3 +104,11 @@ def test_one_that_sees_motion_is_packaged_with_its_actions(tmp_path: Path, monke
     with torch.no_grad():
         acted = load_policy(folder)(TensorDict({"observation": kept["observation"]}, [len(kept["action"])]))["action"]
     torch.testing.assert_close(acted, kept["action"])
+
+
+@pytest.mark.parametrize("policy", ["best", "best_dynamic"])
+def test_packaged_contracts_say_what_this_version_would_say(policy: str) -> None:
+    told = json.loads((recorded.PACKAGED / policy / "contract.json").read_text(encoding="utf-8"))
+    lidar = told["cloud"]["lidar"]
+    assert (lidar["outside"], lidar["repeats_means"]) == (explanations.OUTSIDE, explanations.REPEATS)
+    assert tuple(lidar["cells_see"]) == Contract.model_validate_json(json.dumps(told)).view

@@ -14,7 +14,7 @@ from uavrl.config.build import TARGET, build
 from uavrl.envs.lidar import LidarConfig
 from uavrl.errors import UavrlError
 from uavrl.transforms import PointCloudReduction, RangeImage
-from uavrl_onboard.perception.view import with_rows
+from uavrl_onboard.perception.view import View, in_view, with_rows
 
 BEYOND = 5.0  # degrees over the highest row, or under the lowest, from which on a training is warned
 ALL_AROUND = (-180.0, 180.0)  # degrees
@@ -31,17 +31,20 @@ def trained_sensor(config: DictConfig) -> Any:
 
 
 def unseen_cells(
-    perception: Mapping[str, Any], sensor: Any, packages: Iterable[str] = ()
+    perception: Mapping[str, Any], sensor: Any, packages: Iterable[str] = (), view: View | None = None
 ) -> tuple[list[int], np.ndarray]:
-    """Return the cells that a sensor never sees, and the directions ``[cells, 3]`` of all cells.
+    """Return the cells in which a sensor never sees anything, and the directions ``[cells, 3]`` of all cells.
 
-    Both are empty where a perception has no cells.
+    Both are empty where a perception has no cells. Rays outside a ``view`` do not count.
     """
     reduction = _reduction(perception, packages)
     if reduction is None:
         return [], np.zeros((0, 3))
     device = LidarConfig(sensor=sensor).device
     rays = device.rays.directions[: _SCANS * device.stride].reshape(-1, 3)
+    if view is not None:
+        x, y, z = rays.T
+        rays = rays[in_view(x, y, z, view)]
     return reduction.unseen_cells(torch.from_numpy(rays.copy())), reduction.directions().double().numpy()
 
 
@@ -51,8 +54,8 @@ def with_trained_view(
     """Let a policy's cells read only what the sensor of its training could have seen; a run's own sensor stays.
 
     A sensor that looks farther up would otherwise show a ceiling in the cells of the highest row, where the policy has
-    learned that a wall stands ahead. The rows of a range image are read as far as they reach. Of a policy that was not
-    trained, these alone count.
+    learned that a wall stands ahead. A range image is also read as far as its rows reach, where they reach farther
+    than that sensor saw. Of a policy that was not trained, its rows alone count.
 
     Args:
         perception: validated; its ``lidar`` names the sensor.
@@ -103,7 +106,8 @@ def check_field_of_view(
     device, known = lidar.device, replace(lidar, sensor=trained_with or TRAINED_WITH).device
     if device == known:
         return 0
-    unseen, directions = unseen_cells(perception, lidar.sensor, packages)
+    view = with_trained_view(perception, trained_with, packages)["lidar"].trained_view
+    unseen, directions = unseen_cells(perception, lidar.sensor, packages, view)
     seen_before = set(unseen) - set(unseen_cells(perception, known, packages)[0]) if unseen else set()
     if not seen_before:
         return 0

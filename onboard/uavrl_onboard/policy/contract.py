@@ -112,6 +112,9 @@ class Contract(ContractPart):
         observation = _entries(cells, flight_level, angles, motion, action_limit if last_action else None)
         size = frames * sum(entry.size for entry in observation)
         more = says.MOTION_POSE if motion is not None else {}
+        if cloud.lidar is not None:
+            seen = {"cells_see": _view(cells, cloud.lidar.field_of_view)}
+            cloud = cloud.model_copy(update={"lidar": cloud.lidar.model_copy(update=seen)})
         turn = min(action_limit, Vehicle().yaw_rate_limit)
         low, high = ((*(sign * action_limit,) * 3, sign * turn) for sign in (-1.0, 1.0))
         return cls(
@@ -157,8 +160,10 @@ class Contract(ContractPart):
     @property
     def view(self) -> View:
         """The field of view that the cells read: that of the sensor of the training, and all rows of the cells."""
-        seen = VLP16_VIEW if self.cloud.lidar is None else self.cloud.lidar.field_of_view
-        return with_rows(seen, self.cells.grid.elevation) if self.cells.reduction == "range_image" else seen
+        lidar = self.cloud.lidar
+        if lidar is not None and lidar.cells_see is not None:
+            return lidar.cells_see
+        return _view(self.cells, VLP16_VIEW if lidar is None else lidar.field_of_view)
 
     @property
     def guard_settings(self) -> GuardSettings:
@@ -216,6 +221,11 @@ def _checksum(plain: dict[str, Any]) -> str:
     """Return the SHA-256 of a contract's values, in any order and layout, without their checksum."""
     rest = {name: value for name, value in plain.items() if name != "sha256"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def _view(cells: Cells, seen: View) -> View:
+    """Return what cells read of what a sensor sees: all rows of a range image, too."""
+    return with_rows(seen, cells.grid.elevation) if cells.reduction == "range_image" else seen
 
 
 def _entries(

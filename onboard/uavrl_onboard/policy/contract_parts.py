@@ -64,9 +64,18 @@ class LidarTerms(ContractPart):
     name: str
     field_of_view: Four
     unit: str = says.FIELD_OF_VIEW
+    cells_see: Four | None = None  #: None in older contracts: what the sensor saw, and the rows of a range image
     outside: str = says.OUTSIDE
     repeats: bool = True  #: whether each scan has the same rays
     repeats_means: str = says.REPEATS
+
+    @model_validator(mode="after")
+    def _ascending(self) -> LidarTerms:
+        """Refuse fields of view in which nothing lies."""
+        for right, left, low, high in (self.field_of_view, self.cells_see or self.field_of_view):
+            if not (-180 <= right <= left <= 180 and -90 <= low <= high <= 90):
+                raise ValueError("a field of view is [rightmost, leftmost, lowest, highest] in degrees, ascending")
+        return self
 
 
 class Cloud(ContractPart):

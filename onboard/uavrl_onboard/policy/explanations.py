@@ -17,7 +17,7 @@ MOMENT = "the cloud and the pose belong to the same moment, and the vehicle flie
 CLOUD_FRAME = "sensor: x forward, y left, z up; fixed to the vehicle, so that it tilts with the vehicle"
 SENSOR = "one revolution of a Velodyne VLP-16; the points may come in any order"
 FIELD_OF_VIEW = "degrees: the rightmost, leftmost, lowest and highest ray; 0 is ahead, left and up are positive"
-OUTSIDE = "points over 0.5 degrees outside field_of_view do not enter cells; a range image also takes those of its rows"
+OUTSIDE = "cells_see is written as field_of_view: points more than 0.5 degrees outside do not enter the cells"
 REPEATS = (
     "whether each scan has the same rays. If not, all returns are searched for motion, and three of the last four "
     "scans must have seen through where something moves. If so, two must, and one of a VLP-16"

@@ -267,6 +267,7 @@ def test_guards_are_the_contracts_or_those_asked_for_and_know_the_vehicle(
         "hull.height=0.2",
         "hull.sensor=0.15",
         "hull.elevations=[-7,52]",
+        "hull.repeats=false",
         "safety.velocity=1.5",
     )
     for folder, told in (
@@ -280,7 +281,8 @@ def test_guards_are_the_contracts_or_those_asked_for_and_know_the_vehicle(
     assert [guards.settings.names for guards in made] == [("map", "evasion", "shield")] * 2 + [(), ("evasion",), ()]
     own, usual, *_ = (guards.vehicle for guards in made)
     assert (own.hull, own.lidar_above, own.velocity_limit) == ((0.3, 0.1), 0.15, 1.5)
-    assert (own.lidar_elevations, usual.lidar_elevations) == ((-7, 52), (-15, 15))
+    assert (own.lidar_elevations, own.lidar_repeats) == ((-7, 52), False)
+    assert (usual.lidar_elevations, usual.lidar_repeats) == ((-15, 15), True)
     assert (usual.hull, usual.lidar_above, usual.velocity_limit) == ((0.4, 0.14), 0.1, 2.0)
     changed, far = made[0].settings.shield, made[3].settings.evasion
     assert changed is not None and changed.margin == 0.2 and far is not None and far.sight == 9.0
