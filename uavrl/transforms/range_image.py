@@ -49,8 +49,9 @@ def range_image(
 
     A VLP-16 sees 15 degrees up and down. Of the 32 faces of a truncated icosahedron a dozen lie there, each some 40
     degrees wide; these 72 cells all do. Of its 16 lasers the middle row has the four within ±3 degrees, the
-    others have six each; points above or below belong to the highest and lowest cells. The borders of the rows, at ±4
-    degrees, are a degree from any laser. Another ``grid`` has other cells, for other sensors.
+    others have six each. The borders of the rows, at ±4 degrees, are a degree from any laser. Points above or below
+    belong to the highest and lowest cells; a :class:`RangeImage` with a ``view`` leaves them out. Another ``grid`` has
+    other cells, for other sensors.
 
     Args:
         points: ``[*B, P, 3]``, as in `uavrl.transforms.icosahedron.truncated_icosahedron`.

@@ -101,7 +101,7 @@ class RangeGrid:
         columns: of equal width.
         rows: in a column.
         elevation: the lowest and the highest elevation of the sensor's field of view, degrees. Points beyond them
-            belong to the lowest or the highest row.
+            belong to the lowest or the highest row, unless a reduction leaves them out by its ``view``.
         borders: elevations between the rows, ascending, degrees; None for equal rows (the default grid: ±4). Keep them
             away from the sensor's lasers, where rounding would choose the row.
 
