@@ -11,17 +11,15 @@ from torchrl.envs import Compose, EnvBase, InitTracker, TensorDictPrimer, Transf
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
 from uavrl.envs.guarding import far_seeing, guarded
-from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.privileged import QUANTITIES
 from uavrl.errors import UavrlError
 from uavrl.models.memory import RECURRENT_STATE
-from uavrl.transforms import MovingObjects, PointCloudReduction
+from uavrl.transforms import PointCloudReduction
 from uavrl.transforms.composition import inner_transforms
 from uavrl.transforms.guarded import GOAL_HEADING
 from uavrl.transforms.privileged import Privileged
 from uavrl_onboard.guards.settings import GuardSettings
-from uavrl_onboard.perception.motion.rays import ScanPattern
 
 FAR_RANGE = "perception.lidar.far_range"
 
@@ -68,8 +66,6 @@ def make_env(
         if isinstance(part, PointCloudReduction):
             part.view = getattr(perception.get("lidar"), "trained_view", None)
             part.del_keys = part.del_keys and not keep_cloud
-        if isinstance(part, MovingObjects):
-            part.pattern = _pattern(perception.get("lidar"))
     paid = None if reward is None else build(reward, Transform, packages=packages)
     for transform, part in ((state, "perception"), (paid, "reward")):
         if transform is not None:
@@ -87,13 +83,6 @@ def make_env(
         spec = Unbounded(recurrent_state, dtype=torch.float32)
         made.append_transform(TensorDictPrimer({RECURRENT_STATE: spec}, expand_specs=True))
     return made
-
-
-def _pattern(lidar: Any) -> ScanPattern | None:
-    """Return how the rays of a LiDAR lie; None for a VLP-16 and for somebody else's LiDAR."""
-    if not isinstance(lidar, LidarConfig) or lidar.device.pattern == "vlp16":
-        return None
-    return ScanPattern(*lidar.device.field_of_view[2:], repeats=lidar.device.repeats)
 
 
 def _guard(

@@ -125,12 +125,13 @@ def contract(settings: TrainConfig, weights_sha256: str, guards: GuardSettings |
     name = next(name for name, kind in REDUCTIONS.items() if type(reduction) is kind)
     grid = [reduction.grid] if isinstance(reduction, RangeImage) else []
     scaled, seen = parts[NavigationObservation], parts.get(MovingObjects)
-    motion = None
+    motion, lidar = None, _lidar(settings)
     if seen is not None:
-        motion = MotionTerms.of(seen.max_range, seen.objects, seen.period, parts[Threats].speed)
+        repeats = lidar is None or lidar.repeats
+        motion = MotionTerms.of(seen.max_range, seen.objects, seen.period, parts[Threats].speed, repeats)
     x, y, z = map(float, position)
     return Contract.of(
-        Cloud.of(reduction.radius, (x, y, z), bool(settings.perception.get("blind")), _lidar(settings)),
+        Cloud.of(reduction.radius, (x, y, z), bool(settings.perception.get("blind")), lidar),
         Cells.of(name, reduction.radius, reduction.statistic, *grid),
         weights_sha256=weights_sha256,
         rate_hz=CONTROL_RATE,

@@ -1,5 +1,6 @@
 """Guards (:mod:`uavrl_onboard.guards`) around an environment, as a transform of TorchRL."""
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -31,7 +32,8 @@ class Guarded(ThroughTime):
 
     Args:
         guards: which guards are on, as :func:`~uavrl_onboard.guards.settings.guard_settings` reads it.
-        vehicle: hull, LiDAR, limits and flight level that the guards assume.
+        vehicle: hull, LiDAR, limits and flight level that the guards assume. The rays of another LiDAR than a VLP-16
+            are those of the environment's.
 
     Raises:
         UavrlError: for unknown guards or settings.
@@ -67,7 +69,10 @@ class Guarded(ThroughTime):
         velocity, attitude = (each.reshape(count, 3).double().numpy() for each in told[:2])
         altitude, heading = (each.reshape(count).double().numpy() for each in told[2:])
         if self._made is None or self._made.vehicles != count:
-            self._made, self._turns = Guards(self.guards, count, self.vehicle), np.zeros(count)
+            vehicle = self.vehicle
+            if (rays := self.parent_pattern) is not None:
+                vehicle = replace(vehicle, lidar_elevations=(rays.lowest, rays.highest), lidar_repeats=rays.repeats)
+            self._made, self._turns = Guards(self.guards, count, vehicle), np.zeros(count)
         if begins:
             self._made.reset(which)
         clouds = cloud.reshape(count, *cloud.shape[-2:]).numpy()

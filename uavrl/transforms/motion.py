@@ -22,11 +22,11 @@ __all__ = ["OBJECT", "MotionSight", "MovingObjects"]
 
 
 def searched_alone(clouds: np.ndarray, pattern: ScanPattern) -> np.ndarray:
-    """Returns clouds ``[N, P, 3]`` whose points that are not searched for motion are NaN."""
+    """Returns the points of clouds ``[N, P, 3]`` that are searched for motion, and then NaN, in the same shape."""
     found = np.full_like(clouds, np.nan)
     for cloud, kept in zip(clouds, found, strict=True):
         at = np.flatnonzero(is_return(cloud)).take(pattern.searched(Columns.of(cloud)))
-        kept[at] = cloud[at]
+        kept[: len(at)] = cloud[at]
     return found
 
 
@@ -41,8 +41,9 @@ class MovingObjects(ThroughTime):
         max_range: how far is looked, m.
         objects: K that are reported.
         every: of the points, only those of every such firing cycle of 16 count, which the sensor must order so; 1: all.
-            Of another sensor than a VLP-16, ``pattern`` says which count.
+            For other sensors, ``pattern`` selects the points.
         period: time between two scans, s.
+        pattern: how the rays of the LiDAR lie. None: as those of the environment's LiDAR, or of a VLP-16.
         in_keys: point clouds ``[*B, P, 3]`` (m, sensor frame), velocities ``[*B, 3]`` (m/s, world axes) and attitudes
             ``[*B, 3]`` (roll, pitch and yaw in rad).
         out_keys: where the objects go, ``[*B, K * 7]``: ``OBJECT`` of each, nearest first, 0 for none.
@@ -61,7 +62,6 @@ class MovingObjects(ThroughTime):
     """
 
     alone = "MotionSight"
-    pattern: ScanPattern | None = None  # None: of a VLP-16, whose points come in the order of firing
 
     def __init__(
         self,
@@ -70,6 +70,7 @@ class MovingObjects(ThroughTime):
         every: Annotated[int, Field(ge=1)] = 1,
         *,
         period: float = VEHICLE.period,
+        pattern: ScanPattern | None = None,
         in_keys: Sequence[NestedKey] = ("point_cloud", "velocity", "attitude"),
         out_keys: Sequence[NestedKey] = ("moving_objects",),
     ) -> None:
@@ -82,6 +83,7 @@ class MovingObjects(ThroughTime):
             )
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.max_range, self.objects, self.every, self.period = max_range, objects, every, period
+        self.pattern = pattern
         self._sight: MotionSight | None = None
         self._last = torch.zeros(0, objects, len(OBJECT), dtype=torch.float32)
 
@@ -89,13 +91,13 @@ class MovingObjects(ThroughTime):
         """Writes the objects that each sensor sees."""
         cloud, velocity, attitude = (entry(data, key, self) for key in self.in_keys)
         batch = cloud.shape[:-2]
+        pattern = self.pattern or self.parent_pattern
         if self._sight is None or len(self._last) != count:
-            pattern = self.pattern or ScanPattern()
-            self._sight = MotionSight(count, self.max_range, self.objects, self.period, pattern)
+            self._sight = MotionSight(count, self.max_range, self.objects, self.period, pattern or ScanPattern())
             self._last = torch.zeros(count, self.objects, len(OBJECT), dtype=torch.float32)
         points = cloud.detach().reshape(count, *cloud.shape[-2:])
-        if self.pattern is not None:
-            points = torch.from_numpy(searched_alone(points.cpu().numpy(), self.pattern))
+        if pattern is not None:
+            points = torch.from_numpy(searched_alone(points.cpu().numpy(), pattern))
         elif self.every > 1:
             points = points.unflatten(-2, (-1, LASERS))[:, :: self.every].flatten(1, 2)
         if begins:

@@ -10,6 +10,7 @@ from torchrl.envs.transforms import Transform
 from uavrl.entries import entry
 from uavrl.errors import UavrlError
 from uavrl.shown import Shown
+from uavrl_onboard.perception.motion.rays import ScanPattern
 
 
 class ThroughTime(Shown, Transform):
@@ -28,6 +29,16 @@ class ThroughTime(Shown, Transform):
             which: ``bool [count]``, which have a new scan; of the others the last output stays.
             begins: whether the episodes of these begin.
         """
+
+    @property
+    def parent_pattern(self) -> ScanPattern | None:
+        """How the rays of the simulated LiDAR lie; None for a VLP-16, and in an environment that does not tell."""
+        base = getattr(self.container, "base_env", None)
+        device = getattr(getattr(base, "lidar_config", None), "device", None)
+        if device is None or device.pattern == "vlp16":
+            return None
+        lowest, highest = device.field_of_view[2:]
+        return ScanPattern(lowest, highest, device.repeats)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Refuses: stored data does not say which scan follows which."""

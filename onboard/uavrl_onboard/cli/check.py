@@ -57,6 +57,7 @@ def check(settings: FlyConfig) -> list[Item]:
     """Return the items of a check; of a policy that cannot be read there is only that one."""
     try:
         policy = Policy(str(settings.policy))
+        policy.fly_with(make_vehicle(settings, policy))
     except UavrlError as error:
         return [Item("policy", Level.FAIL, str(error))]
     print(f"Listening for {OBSERVED:g} s …", flush=True)

@@ -161,6 +161,7 @@ def main(settings: FlyConfig) -> None:
     if (outside := outside_fence(settings.goal, settings.safety)) is not None:
         raise UavrlError(f"{outside}.")
     policy = Policy(str(settings.policy))
+    policy.fly_with(make_vehicle(settings, policy))
     numbers = None if settings.json is None else writable(Path(settings.json), "json=FILE")
     if settings.safety.floor < 0.0 and settings.autopilot is not None:
         print("safety.floor is below the ground, for a bench without propellers: never fly so.", file=sys.stderr)

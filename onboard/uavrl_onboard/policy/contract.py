@@ -187,7 +187,10 @@ class Contract(ContractPart):
         made = Cells.of(cells.reduction, cells.radius, cells.statistic, cells.grid)
         ball = Cloud.of(cells.radius, cloud.sensor_position, cloud.blind)
         entries = _entries(cells, self.flight_level, self.angles, self.motion, self.action_limit)
+        seen = None if cloud.lidar is None else cloud.lidar.cells_see
         wrong: dict[str, bool] = {
+            "cloud.lidar.cells_see is not field_of_view with the rows of the cells": seen is not None
+            and seen != _view(cells, cloud.lidar.field_of_view),  # type: ignore[union-attr]  # seen is of it
             f"cells are not those of {cells.reduction}": not alike(cells, made, "directions", atol=1e-6)
             or not alike(cells, made, "count", "columns", "rows", "width", "elevation", "row_borders"),
             f"cloud.squared_range, cells.interval or cells.offsets is not that of a radius of {cells.radius:g} m": (
@@ -201,7 +204,8 @@ class Contract(ContractPart):
             f"action.order is not {', '.join(ACTION)}": action.order != tuple(ACTION),
             "action.low is not below action.high": not np.less(action.low, action.high).all(),
         }
-        moving = None if self.motion is None else self.motion.contradiction(self.rate_hz)
+        repeats = cloud.lidar is None or cloud.lidar.repeats
+        moving = None if self.motion is None else self.motion.contradiction(self.rate_hz, repeats)
         guarded = None if self.guards is None else self.guards.contradiction()
         return next((words for words, holds in wrong.items() if holds), moving or guarded)
 

@@ -257,8 +257,11 @@ class MotionTerms(ContractPart):
     threats: ThreatTerms
 
     @classmethod
-    def of(cls, max_range: float, objects: int, period: float, speed: float) -> MotionTerms:
-        """Return the part for a range in m, a number of objects, a time between scans in s and a speed in m/s."""
+    def of(cls, max_range: float, objects: int, period: float, speed: float, repeats: bool = True) -> MotionTerms:
+        """Return the part for a range in m, a number of objects, a time between scans in s and a speed in m/s.
+
+        Where the LiDAR's rays do not repeat in each scan, all returns are searched.
+        """
         step, first, every = rays.TERMS
         made = ThreatTerms(
             speed=speed,
@@ -270,11 +273,13 @@ class MotionTerms(ContractPart):
             directions=[(x, y, z) for x, y, z in rounded(threats.DIRECTIONS)],
         )
         searched = Rays(step=step, first=first, every=every)
+        if not repeats:
+            searched = Rays(counts=says.ALL_RETURNS, step=step, first=first, every=1)
         return cls(max_range=max_range, objects=objects, period=period, rays=searched, threats=made)
 
-    def contradiction(self, rate_hz: float) -> str | None:
+    def contradiction(self, rate_hz: float, repeats: bool = True) -> str | None:
         """Return what is not as this version of uavrl does it; None for a sound part."""
-        made = MotionTerms.of(self.max_range, self.objects, self.period, self.threats.speed)
+        made = MotionTerms.of(self.max_range, self.objects, self.period, self.threats.speed, repeats)
         wrong: dict[str, bool] = {
             "motion.period is not that of rate_hz": not np.isclose(self.period * rate_hz, 1.0),
             "motion.rays are others": not alike(self.rays, made.rays, "step", "first", "every"),

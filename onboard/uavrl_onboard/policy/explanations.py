@@ -88,6 +88,7 @@ RAYS = (
     "floor((-atan2(y, x) mod 360) / step - first) mod every is 0, in degrees; "
     "for a sensor with fewer rays, use the rays next to these angles"
 )
+ALL_RETURNS = "use all points within max_range"
 THREAT = (
     "for a candidate velocity v = speed * direction, or 0 for hovering, an object at p with velocity w, and the "
     "velocity u of the vehicle, all rotated by the yaw, at the times t = period, 2 * period, ..., steps * period: "

@@ -17,6 +17,7 @@ from uavrl_onboard.perception.observation import FrameStack, navigation_observat
 from uavrl_onboard.perception.reductions import REDUCTIONS
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, REMEDY, Contract, read_contract, read_file
 from uavrl_onboard.policy.motion import MotionReader
+from uavrl_onboard.vehicle import Vehicle
 
 LARGEST = 2**28  # bytes of policy.onnx; ours have less than a million
 # The key by which ONNX names another file that holds a network's numbers, as it is written: behind its length, which
@@ -55,14 +56,18 @@ class Policy:
         self.contract = read_contract(Path(folder))
         self.cells: np.ndarray | None
         self._network = _Network(Path(folder), self.contract)
+        self.fly_with(self.contract.vehicle)
+
+    def fly_with(self, vehicle: Vehicle) -> None:
+        """Begin with another vehicle than that of the training, whose LiDAR motion detection has to know."""
+        self._pattern = ScanPattern(*vehicle.lidar_elevations, repeats=vehicle.lidar_repeats)
         self._begin()
 
     def _begin(self) -> None:
         limit, frames = self.contract.action_limit, self.contract.state.frames
         self._state = FrameStack(frames, limit is not None, limit or 1.0)
-        vehicle, motion = self.contract.vehicle, self.contract.motion
-        pattern = ScanPattern(*vehicle.lidar_elevations, repeats=vehicle.lidar_repeats)
-        self._motion = None if motion is None else MotionReader(motion, pattern)
+        motion = self.contract.motion
+        self._motion = None if motion is None else MotionReader(motion, self._pattern)
         self.cells = None
         self.last_action = np.zeros(len(self.contract.action.order), np.float32)
         self._memory = self._network.new_memory(1)
@@ -70,7 +75,7 @@ class Policy:
     def copy(self) -> Policy:
         """The same policy for another vehicle, at the beginning of an episode."""
         other = Policy.__new__(Policy)
-        other.contract, other._network = self.contract, self._network
+        other.contract, other._network, other._pattern = self.contract, self._network, self._pattern
         other._begin()
         return other
 
