@@ -23,7 +23,19 @@ from uavrl_onboard.vehicle import VEHICLE, Vehicle
 
 
 def test_the_default_vehicle_is_the_simulated_one() -> None:
-    assert dataclasses.astuple(VEHICLE) == (0.35, 0.28, (0.0, 0.0, 0.1), 2.0, 2.0, 10.0, 3.5, -2.3, 0.7, (-15.0, 15.0))
+    assert dataclasses.astuple(VEHICLE) == (
+        0.35,
+        0.28,
+        (0.0, 0.0, 0.1),
+        2.0,
+        2.0,
+        10.0,
+        3.5,
+        -2.3,
+        0.7,
+        (-15.0, 15.0),
+        True,
+    )
     assert Airframe().vehicle() == VEHICLE
     assert (CONTROL_RATE, VEHICLE.period, ACTION_LIMIT) == (10, 0.1, 2.0)
     assert (WorldConfig().flight_level, WorldConfig().uav_radius) == (VEHICLE.flight_level, VEHICLE.radius)
