@@ -33,6 +33,7 @@ PRINTED = json.loads((ROOT / "uavrl/reporting/thesis.json").read_text(encoding="
 WINDOW, LAST = PRINTED["window"], 200
 NAMES = {"ddpg": "DDPG", "td3": "TD3", "td3_fork": "TD3-FORK", "td3_lg": "TD3-LG"}
 THESIS, BACKWARD, OLDER = "thesis.json.gz", "backward.json.gz", "first_policies.json.gz"
+FIGURE_4_4 = "Eq. 3.6 with its absolute value, ABR+, folded, experiment=figure_4_4"
 LEARNERS, FULL = "learners.json", "default_5000.json"
 
 
@@ -68,6 +69,7 @@ SCALED = (
     Row("td3", "ABR", "ABR, Eq. 3.6 as printed, angles / 360", THESIS, "Eq. 3.6, ABR, /360"),
     Row("td3", "ABR", "ABR, Eq. 3.6 as printed, folded angles", THESIS, "Eq. 3.6, ABR, folded"),
     Row("td3", "ABR", "ABR, folded angles", THESIS, "Eq. 3.6 with its absolute value, ABR, folded"),
+    Row("td3", "ABR⁺", "ABR⁺, folded angles, `experiment=figure_4_4`", THESIS, FIGURE_4_4),
     Row("td3", None, "Eq. 3.6 as printed, angles / 360", THESIS, "Eq. 3.6, /360"),
 )
 BONUS = (
