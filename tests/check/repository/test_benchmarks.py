@@ -47,7 +47,7 @@ def test_the_environment_benchmark_writes_its_profile(tmp_path: Path) -> None:
 def test_the_motion_benchmark_writes_its_rows(tmp_path: Path) -> None:
     numbers = written_by("motion.py", tmp_path, "--uavs", "2", "--repeats", "1", "--steps", "16")
     plain, *others = numbers["ms_per_uav_step"].values()
-    assert len(others) == 3 and 0 < plain < min(others)
+    assert len(others) == 6 and 0 < plain < min(others)
 
 
 @pytest.mark.slow
