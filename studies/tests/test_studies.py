@@ -429,3 +429,8 @@ def test_a_policy_flies_with_sensors_that_it_was_not_trained_with(said: Said, tm
     (kept,) = json.loads((tmp_path / "sensors.json").read_text())
     assert (kept["policy"], kept["unseen_cells"], len(kept["outcomes"])) == ("best", 48, 1)
     assert said("sensors", *told) == table  # which it reads again
+
+
+def test_no_phantom_moves_in_a_world_that_stands_still(said: Said) -> None:
+    chosen = ("--worlds", "static", "--sensors", "mid360", "--vehicles", 1, "--steps", 6)
+    assert "| `mid360` | 0 of 6 |" in said("phantom_motion", *chosen)
