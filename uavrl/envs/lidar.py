@@ -19,7 +19,7 @@ from uavrl.errors import UavrlError, extras
 from uavrl_onboard.geometry import turn_about, yaw_rotation
 from uavrl_onboard.mesh import Mesh
 from uavrl_onboard.perception.motion.rays import far_ray_indices
-from uavrl_onboard.perception.view import View
+from uavrl_onboard.perception.view import View, is_view
 
 with extras():
     from embreex.mesh_construction import TriangleMesh
@@ -86,13 +86,11 @@ class LidarConfig:
             raise ValueError(f"range_noise must be a standard deviation in metres, 0 or more, got {self.range_noise}.")
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(f"dropout must be a probability in [0, 1), got {self.dropout}.")
-        if self.trained_view is not None:
-            right, left, low, high = self.trained_view
-            if not (-180.0 <= right <= left <= 180.0 and -90.0 <= low <= high <= 90.0):
-                raise ValueError(
-                    "trained_view must be the rightmost, leftmost, lowest and highest direction in degrees, got "
-                    f"{list(self.trained_view)}."
-                )
+        if self.trained_view is not None and not is_view(self.trained_view):
+            raise ValueError(
+                "trained_view must be the rightmost, leftmost, lowest and highest direction in degrees, got "
+                f"{list(self.trained_view)}."
+            )
         if self.reach <= self.nearest:
             raise UavrlError(
                 f"The LiDAR {self.device.name!r} sees nothing nearer than {self.nearest:g} m, and max_range is "

@@ -84,6 +84,7 @@ class MovingObjects(ThroughTime):
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.max_range, self.objects, self.every, self.period = max_range, objects, every, period
         self.pattern = pattern
+        self._flown: ScanPattern | None = None  # of the LiDAR that is followed; None for a VLP-16's
         self._sight: MotionSight | None = None
         self._last = torch.zeros(0, objects, len(OBJECT), dtype=torch.float32)
 
@@ -91,13 +92,13 @@ class MovingObjects(ThroughTime):
         """Writes the objects that each sensor sees."""
         cloud, velocity, attitude = (entry(data, key, self) for key in self.in_keys)
         batch = cloud.shape[:-2]
-        pattern = self.pattern or self.parent_pattern
         if self._sight is None or len(self._last) != count:
-            self._sight = MotionSight(count, self.max_range, self.objects, self.period, pattern or ScanPattern())
+            self._flown = self.pattern or self.parent_pattern  # once, as all rays are looked at
+            self._sight = MotionSight(count, self.max_range, self.objects, self.period, self._flown or ScanPattern())
             self._last = torch.zeros(count, self.objects, len(OBJECT), dtype=torch.float32)
         points = cloud.detach().reshape(count, *cloud.shape[-2:])
-        if pattern is not None:
-            points = torch.from_numpy(searched_alone(points.cpu().numpy(), pattern))
+        if self._flown is not None:
+            points = torch.from_numpy(searched_alone(points.cpu().numpy(), self._flown))
         elif self.every > 1:
             points = points.unflatten(-2, (-1, LASERS))[:, :: self.every].flatten(1, 2)
         if begins:

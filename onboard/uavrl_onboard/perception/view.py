@@ -37,6 +37,12 @@ def in_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, view: View) -> np.ndarr
     return np.asarray(seen)
 
 
+def is_view(view: View) -> bool:
+    """Return whether four numbers are a field of view: each pair in order, and within the sphere."""
+    right, left, low, high = view
+    return -180.0 <= right <= left <= 180.0 and -90.0 <= low <= high <= 90.0
+
+
 def with_rows(view: View, elevation: tuple[float, float]) -> View:
     """Return a field of view with the elevations of a range image's rows, in degrees, in it, too.
 

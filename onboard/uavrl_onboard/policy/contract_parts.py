@@ -24,6 +24,7 @@ from uavrl_onboard.perception.cells import (
 )
 from uavrl_onboard.perception.motion import rays, threats
 from uavrl_onboard.perception.reductions import Reduction, directions
+from uavrl_onboard.perception.view import is_view
 from uavrl_onboard.policy import explanations as says
 from uavrl_onboard.vehicle import Vehicle
 
@@ -72,9 +73,8 @@ class LidarTerms(ContractPart):
     @model_validator(mode="after")
     def _ascending(self) -> LidarTerms:
         """Refuse fields of view in which nothing lies."""
-        for right, left, low, high in (self.field_of_view, self.cells_see or self.field_of_view):
-            if not (-180 <= right <= left <= 180 and -90 <= low <= high <= 90):
-                raise ValueError("a field of view is [rightmost, leftmost, lowest, highest] in degrees, ascending")
+        if not (is_view(self.field_of_view) and is_view(self.cells_see or self.field_of_view)):
+            raise ValueError("a field of view is [rightmost, leftmost, lowest, highest] in degrees, ascending")
         return self
 
 
