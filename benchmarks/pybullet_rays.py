@@ -76,4 +76,4 @@ class PyBulletValleyEnv(ValleyEnv):
         super().__init__()
         base = self._env.base_env
         assert isinstance(base, NavigationEnv)
-        base._lidar = PyBulletLidar(base.world.meshes, base._lidar_config, threads)  # type: ignore[assignment]
+        base._lidar = PyBulletLidar(base.world.meshes, base.lidar_config, threads)  # type: ignore[assignment]

@@ -114,6 +114,21 @@ def test_pybullets_rays_see_what_the_lidar_sees(monkeypatch: pytest.MonkeyPatch)
     np.testing.assert_allclose(ours[both], theirs[both], atol=1e-3)
 
 
+def test_the_valley_with_pybullets_rays_flies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    from pybullet_rays import PyBulletLidar, PyBulletValleyEnv
+
+    casts: list[int] = []
+    cast = PyBulletLidar._cast
+    monkeypatch.setattr(PyBulletLidar, "_cast", lambda self, *pose: casts.append(1) or cast(self, *pose))
+    env = PyBulletValleyEnv()
+    start, _ = env.reset(seed=0)
+    state, reward, *_ = env.step(np.array([2.0, 0.0, 0.0, 0.0], dtype=np.float32))
+    env.close()
+    assert state.shape == start.shape and np.isfinite(reward)
+    assert len(casts) == 2  # one scan each
+
+
 def test_the_stopwatch_gives_each_second_to_the_innermost_part(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     import profiling
