@@ -122,7 +122,7 @@ def test_perception_is_told_where_the_lidar_is_on_an_airframe_that_has_one(
         return SmallEnv() if kind is EnvBase else None
 
     monkeypatch.setattr(environment, "build", recorded)
-    monkeypatch.setattr(environment, "require_keys", lambda *_: None)
+    monkeypatch.setattr(environment, "require_keys", lambda *_, **__: None)
     environment.make_env({"airframe": airframe}, {})
     assert handed == [{"key": "env"}, told]
 
@@ -152,7 +152,7 @@ def test_the_list_is_what_a_run_hands_over(
     settings = validate(config)
     sizes, cpu = NetworkSizes(state=105, frames=3, actions=4, limit=2.0), torch.device("cpu")
     for module in (environment, build_module):
-        monkeypatch.setattr(module, "require_keys", lambda *_: None)
+        monkeypatch.setattr(module, "require_keys", lambda *_, **__: None)
 
     class Env:  # of which the factory only asks what is in it
         base_env = None

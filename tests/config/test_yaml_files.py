@@ -242,7 +242,8 @@ def test_the_best_preset_stays_near_a_guide_in_many_valleys() -> None:
 
 def test_dagger_lasts_for_all_of_its_preset_and_clones_a_faster_controller_in_some_of_the_valleys_of_td3_bc() -> None:
     short, long = compose("preset=dagger"), compose("preset=td3_bc")
-    assert short.cloning._target_.endswith(".Cloning") and short.cloning.steps == short.trainer.steps
+    assert short.cloning._target_.endswith(".Cloning") and (short.cloning.steps, short.trainer.steps) == (None, 30_000)
+    assert compose("preset=dagger", "cloning=none").cloning._target_ is None, "TD3 with its parts"
     assert long.cloning._target_ is None and long.trainer.steps == 100_000
     assert (short.trainer.lidar_stride, long.trainer.lidar_stride) == (4, 1)
     assert set(short.env.world.seeds) < set(long.env.world.seeds)

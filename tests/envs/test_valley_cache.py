@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from uavrl.cli import train as train_command
 from uavrl.envs import place as place_module
 from uavrl.envs import valley_cache
 from uavrl.envs.place import Place, build_place
+from uavrl.envs.rules import Scene
 from uavrl.envs.world import World, WorldConfig, map_places
 from uavrl.runs.cache import cache_folder, valley_folder
 
@@ -96,6 +97,23 @@ def test_what_a_valley_depends_on_is_in_its_name(mapped: list[int], monkeypatch:
     monkeypatch.setattr(valley_cache, "CODE", ["of another version"])
     built()
     assert len(mapped) == len(others) + 4
+
+
+@dataclass
+class Empty(WorldConfig):
+    """The valley of somebody's own class, without obstacles."""
+
+    def scene(self, number: int) -> Scene:
+        return super().scene(number)._replace(obstacles=[])
+
+
+def test_a_class_of_somebodys_own_shares_no_map_with_the_valley(mapped: list[int]) -> None:
+    own = World(Empty(**vars(RULES))).places[0]
+    plain = built()
+    assert len(mapped) == 2 and len(plain.candidates) < len(own.candidates)
+    assert_same(built(), plain)
+    assert_same(World(Empty(**vars(RULES))).places[0], own)
+    assert len(mapped) == 2, "each from its own map"
 
 
 def test_the_code_that_is_hashed_is_there() -> None:
@@ -251,13 +269,14 @@ def test_a_folder_that_cannot_be_made_stops_nobody(
 
 def test_the_least_recently_used_go_first(folder: Path) -> None:
     folder.mkdir(parents=True)
-    for age, name in enumerate("abcd"):
+    names = [f"{letter * 40}.npz" for letter in "abcd"]
+    for age, name in enumerate([*names, "somebody's.npz"]):
         (folder / name).write_bytes(bytes(100))
         os.utime(folder / name, (1000 - age, 1000 - age))
     valley_cache._make_room(folder, 250)
-    assert sorted(path.name for path in folder.iterdir()) == ["a", "b"]
+    assert sorted(path.name for path in folder.iterdir()) == [*names[:2], "somebody's.npz"], "which is not ours"
     built()
-    (file,) = [path for path in folder.iterdir() if path.suffix == ".npz"]
+    (file,) = [path for path in folder.iterdir() if path.name not in (*names, "somebody's.npz")]
     os.utime(file, (1, 1))
     built()
     assert file.stat().st_mtime > 1000, "reading is using"
@@ -265,10 +284,11 @@ def test_the_least_recently_used_go_first(folder: Path) -> None:
 
 def test_the_limit_holds_when_a_valley_is_kept(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder.mkdir(parents=True)
-    (folder / "old").write_bytes(bytes(valley_cache.MOST_BYTES))
-    os.utime(folder / "old", (1, 1))
+    old = folder / f"{'a' * 40}.npz"
+    old.write_bytes(bytes(valley_cache.MOST_BYTES))
+    os.utime(old, (1, 1))
     built()
-    assert len(list(folder.iterdir())) == 1 and not (folder / "old").exists()
+    assert len(list(folder.iterdir())) == 1 and not old.exists()
 
 
 def test_valleys_are_mapped_for_another_process(mapped: list[int]) -> None:

@@ -213,6 +213,12 @@ def test_of_an_overwritten_buffer_whole_episodes_are_left(tmp_path: Path) -> Non
     assert kept >= 2 and torch.equal(found["observation"], torch.from_numpy(np.concatenate(written[-kept:])))
 
 
+def test_a_buffer_that_holds_no_whole_episode_should_have_been_larger(tmp_path: Path) -> None:
+    checkpoint_run(tmp_path / "run", [walk(length, 6, np.random.default_rng(0)) for length in (5, 20)], capacity=17)
+    with pytest.raises(UavrlError, match=r"found none: train with a larger buffer\.capacity"):
+        uavrl.load_data(tmp_path / "run")
+
+
 def copied(data: Path, to: Path) -> Path:
     """A copy that a stranger may have changed."""
     return Path(shutil.copytree(data, to))
@@ -248,8 +254,9 @@ def test_nothing_in_a_foreign_folder_is_executed_or_followed(change: Any, data: 
 def test_a_damaged_or_other_data_set_is_refused(data: Path, tmp_path: Path) -> None:
     folder = copied(data, tmp_path / "data")
     about, actions = (folder / "storage" / name for name in ("meta.json", "action.memmap"))
-    actions.write_bytes(actions.read_bytes()[:-16])  # four numbers of float32
-    with pytest.raises(UavrlError, match="which does not describe action"):
+    whole = actions.read_bytes()
+    actions.write_bytes(whole[:-16])  # four numbers of float32
+    with pytest.raises(UavrlError, match=rf"action\.memmap has {len(whole) - 16:,} of {len(whole):,} bytes, so it is in"):
         uavrl.load_data(folder)
     rows = json.loads(about.read_text())
     rows["action"]["shape"][0] -= 1
@@ -264,3 +271,5 @@ def test_a_damaged_or_other_data_set_is_refused(data: Path, tmp_path: Path) -> N
         uavrl.load_data(folder)
     with pytest.raises(UavrlError, match="Expected a run folder at"):
         uavrl.load_data(tmp_path / "none")
+    with pytest.raises(UavrlError, match=r"is neither a data set \(data\.json\) nor the folder of a run"):
+        uavrl.load_data(tmp_path)

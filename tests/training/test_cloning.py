@@ -117,6 +117,22 @@ def test_a_run_clones_first_and_then_learns_from_rewards(tmp_path: Path) -> None
     assert losses[-1] < losses[0]
 
 
+@pytest.mark.parametrize(("given", "run_steps", "lasts"), [(70, 200, 70), (None, 200, 200), (None, None, 30_000)])
+def test_it_lasts_for_all_of_the_run_unless_told_otherwise(
+    given: int | None, run_steps: int | None, lasts: int
+) -> None:
+    assert Cloning(make_loss(), 2.0, steps=given, run_steps=run_steps).steps == lasts
+
+
+def test_the_actors_learning_rate_falls_in_what_cloning_leaves_of_the_run(tmp_path: Path) -> None:
+    """Of 300 steps it takes 100; TD3 makes half an update in each of the others, and the rate falls over their end."""
+    words = ["trainer.steps=300", "trainer.updates_per_step=0.5", "algo.actor_lr_decay=[0.5,1.0]"]
+    config = small_config(tmp_path / "run", *CLONED, *words)
+    trainer = build_trainer(validate(config), config, create_run(config))
+    assert trainer.stepper.actor_lr_decay == (50.0, 100.0)
+    trainer.collector.shutdown()
+
+
 def test_it_needs_a_demonstrator(tmp_path: Path) -> None:
     config = small_config(tmp_path / "run", "cloning=dagger")
     with pytest.raises(UavrlError, match=r"demonstrator must be a scripted controller, such as vfh, which cloning=dag"):

@@ -92,6 +92,10 @@ def test_what_is_exported_is_the_same(tmp_path: Path) -> None:
         ([*GRU, "fork=on"], "fork must be none with recurrent=gru or algo.critic_reads"),
         ([READS, "perception=range_image", "buffer.mirror=true"], "no mirror image of velocity is known"),
         (["algo.critic_reads=[sun]"], "The critic reads 'sun', which NavigationEnv does not emit"),
+        *(
+            ([f"algo.critic_reads=[{key}]", "buffer.mirror=false"], f"The critic reads '{key}', which NavigationEnv")
+            for key in ("action", "reward", "done", "terminated")
+        ),
         (["algo.critic_reads=[wind,wind]"], "algo.critic_reads must be different names"),
         ([*GRU, "algo=ddpg"], "algo must be td3 or sac with a memory"),
         ([*GRU, "buffer=prioritized"], "buffer must be uniform with a memory"),

@@ -14,6 +14,7 @@ from torchrl.data import Bounded
 from tests.helpers.any_network import CRITICS, compare_updates
 from tests.helpers.losses import critics, episodes, fork, lifeguard, sampler, stochastic_actor
 from uavrl.buffers import PrioritizedBuffer
+from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss, DDPGLoss, LifeGuard, SACLoss, TD3Loss
 from uavrl.models import Actor, Critic
 from uavrl.training.compiled import Execution, LossGradients
@@ -219,13 +220,35 @@ def test_the_actors_learning_rate_falls_between_two_numbers_of_updates() -> None
     assert resumed.actor.optimizer.param_groups[0]["lr"] == pytest.approx(5e-4)
 
 
+def test_the_actors_learning_rate_falls_over_shares_of_a_run_of_any_length() -> None:
+    """A run of 8 updates falls from its fourth to its eighth, as one of 4 from its second to its fourth."""
+    found = {}
+    for expected in (4, 8):
+        stepper = ActorCriticStepper(
+            make_loss("ddpg"), actor_lr=1e-3, actor_lr_decay=(0.5, 1.0), policy_delay=1, expected=expected
+        )
+        rates = []
+        for _ in range(expected):
+            stepper.step(None, batch())
+            rates.append(stepper.actor.optimizer.param_groups[0]["lr"])
+        found[expected] = rates
+    assert found[8] == pytest.approx([1e-3, 1e-3, 1e-3, 1e-3, 7.5e-4, 5e-4, 2.5e-4, 2e-5])
+    assert found[4] == pytest.approx([1e-3, 1e-3, 5e-4, 2e-5])
+
+
+def test_shares_of_a_run_of_unknown_length_are_refused() -> None:
+    with pytest.raises(UavrlError, match=r"give trainer\.steps, or two numbers of updates"):
+        ActorCriticStepper(make_loss("ddpg"), actor_lr_decay=(0.5, 1.0))
+
+
 def test_a_smaller_learning_rate_is_a_smaller_step() -> None:
     """Adam's first step is as long as its learning rate: at 2 % of it every weight that moves, moves by 2 %."""
     moves = []
-    for decay in (None, (0, 1)):
+    for decay in (None, (0.0, 1.0)):
         loss = make_loss("ddpg")
         before = parameters(loss)
-        ActorCriticStepper(loss, actor_lr=1e-2, actor_lr_decay=decay, policy_delay=1).step(None, batch())
+        stepper = ActorCriticStepper(loss, actor_lr=1e-2, actor_lr_decay=decay, policy_delay=1, expected=1)
+        stepper.step(None, batch())
         moves.append({key: parameters(loss)[key] - value for key, value in before.items() if key.startswith("actor")})
     for key, whole in moves[0].items():
         torch.testing.assert_close(moves[1][key], 0.02 * whole, rtol=2e-3, atol=2e-6)

@@ -90,7 +90,9 @@ class WorldConfig(WorldRules):
         obstacles += [trap.obstacle(trap_top(self.ceiling)) for trap in traps]
         return Scene(obstacles, self.size, ground, traps=traps, is_fine=True)
 
-    def map_rules(self, number: int) -> dict[str, Any]:
-        """What the map of a valley depends on."""
+    def map_rules(self, number: int) -> dict[str, Any] | None:
+        """What the map of a valley depends on; of a class of somebody's own its triangles have to tell."""
+        if type(self) is not WorldConfig:
+            return None
         own = {"obstacle_scale": self.obstacle_scale, "traps": self.traps_of(number)}
         return {**self.own_rules(), **own, "seed": self.seeds[number], "obstacles": self.obstacles_of(number)}

@@ -8,6 +8,7 @@ import hashlib
 import json
 import logging
 import os
+import re
 import tempfile
 import zipfile
 import zlib
@@ -34,6 +35,7 @@ _DAMAGED = (
     *(OSError, ValueError, KeyError, EOFError, IndexError, TypeError, RuntimeError, MemoryError),
     *(zipfile.BadZipFile, zlib.error),
 )
+_OURS = re.compile(r"[0-9a-f]{40}\.npz(\.\w+\.partial)?")
 _MOST_ENTRY = 50_000_000  # bytes of one array: a damaged length must not fill the memory
 
 
@@ -176,9 +178,9 @@ def _say_not_kept(folder: str, reason: str) -> None:
 
 
 def _make_room(folder: Path, most: int = MOST_BYTES) -> None:
-    """Removes the least recently used files until the others take at most so many bytes."""
+    """Removes the least recently used maps until the others take at most so many bytes; other files stay."""
     found = []
-    for path in folder.iterdir():
+    for path in (each for each in folder.iterdir() if _OURS.fullmatch(each.name)):
         with suppress(OSError):  # another run may have removed it
             status = path.lstat()
             found.append((status.st_mtime, status.st_size, path))

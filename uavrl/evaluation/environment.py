@@ -73,7 +73,7 @@ def make_env(
             made.append_transform(transform)
     require_keys(made, [(["observation"], [])], "policy")
     if critic_reads:
-        require_keys(made, [(critic_reads, [])], "critic")
+        require_keys(made, [(critic_reads, [])], "critic", before_acting=True)
         made.append_transform(
             Privileged(critic_reads, {key: QUANTITIES[key].divisor for key in asked if key in critic_reads})
         )
@@ -127,9 +127,16 @@ def with_sight(
     return perception if scanning.far_range == lidar.far_range else {**perception, "lidar": scanning}
 
 
-def require_keys(env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str) -> None:
-    """Refuses what reads more than an environment emits, each step also what the steps before it have written."""
-    specs = (env.observation_spec, env.full_reward_spec, env.full_done_spec, env.full_action_spec)
+def require_keys(
+    env: EnvBase, steps: Iterable[tuple[Iterable[Any], Iterable[Any]]], reader: str, *, before_acting: bool = False
+) -> None:
+    """Refuses what reads more than an environment emits, each step also what the steps before it have written.
+
+    ``before_acting`` leaves out actions, rewards and ends, of which an observation knows nothing.
+    """
+    specs = (env.observation_spec,)
+    if not before_acting:
+        specs += (env.full_reward_spec, env.full_done_spec, env.full_action_spec)
     emitted = {key for spec in specs for key in spec.keys(True, True)}
     for read, written in steps:
         for key in read:

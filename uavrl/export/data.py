@@ -46,6 +46,7 @@ def export_data(run: Path, checkpoint: str | None, folder: Path, packages: Itera
     row = recorded[:1]
     about = description(recorded, row, run)
     size = sum(value.nbytes for value in row.values(include_nested=True, leaves_only=True))
+    was_there = folder.is_dir()
     try:
         with naming(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -55,6 +56,8 @@ def export_data(run: Path, checkpoint: str | None, folder: Path, packages: Itera
                 partial.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
+        if was_there:
+            folder.mkdir(exist_ok=True)
         raise
     return about
 
@@ -86,6 +89,7 @@ def description(recorded: Recorded, row: TensorDictBase, run: Path) -> dict[str,
         "keys": {".".join(_path(key)): entry for key, entry in _keys(row, settings, bool(inputs)).items()},
         "policy_inputs": inputs or None,
         "settings": {key: config[key] for key in SETTINGS if key in config},
+        "lidar_stride": settings.trainer.lidar_stride,
         "run": run.resolve().name,
         "checkpoint": recorded.path.name,
         "training_steps": recorded.metadata["collected_frames"],

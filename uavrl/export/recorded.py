@@ -100,7 +100,8 @@ def read_recorded(run_dir: Path, checkpoint: str | None = None) -> Recorded:
     first = int(last[0]) + 1 if cut and len(last) else 0
     last = last[last >= first] - first
     if not len(last):
-        raise UavrlError(f"Expected whole episodes in the replay buffer of {path} and found none: train it longer.")
+        remedy = "train with a larger buffer.capacity, which holds at least one" if cut else "train it longer"
+        raise UavrlError(f"Expected whole episodes in the replay buffer of {path} and found none: {remedy}.")
     episode = torch.arange(len(last)).repeat_interleave(last.diff(prepend=torch.tensor([-1])))
     places = order[first : first + len(episode)]
     return Recorded(path, config, metadata, stored.storage, places, episode, last)
@@ -150,6 +151,10 @@ def load_data(
         storage = _read_storage(place)
     elif (place / STORAGE).is_dir():
         raise UavrlError(f"The data set {place} is incomplete, because {DATA} is missing: write it again.")
+    elif place.is_dir() and not (place / CONFIG).is_file():
+        raise UavrlError(
+            f"{place} is neither a data set ({DATA}) nor the folder of a run ({CONFIG}): name one of them."
+        )
     else:
         recorded = read_recorded(place, None if checkpoint is None else str(checkpoint))
         storage = FrameStorage(len(recorded), recorded.storage.frames)

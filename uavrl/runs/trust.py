@@ -146,7 +146,13 @@ def _check_tensors(path: Path, name: str, about: dict[str, Any], sizes: dict[str
         if "type" in entry:
             whole = entry["type"] == "TensorDict" and f"{folder}{key}/meta.json" in sizes
         else:
-            whole = _size(entry) == sizes.get(f"{folder}{key}.memmap", 0)
+            size, there = _size(entry), sizes.get(f"{folder}{key}.memmap", 0)
+            whole = size == there
+            if 0 <= there < size:
+                raise UavrlError(
+                    f"{path}: {folder}{key}.memmap has {there:,} of {size:,} bytes, so it is incomplete: copy or write "
+                    f"it again."
+                )
         if not whole:
             raise _refused(path, f"{name}, which does not describe {key}")
 

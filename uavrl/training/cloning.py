@@ -15,6 +15,7 @@ from uavrl.training.compiled import Execution, GradientStep
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION
 from uavrl_onboard.ranges import Count, Positive
 
+DEFAULT_STEPS = 30_000
 FLOWN_STATES = ("observation", DEMONSTRATOR_ACTION)
 
 
@@ -31,11 +32,12 @@ class Cloning:
     Args:
         loss: gives the actor that is trained; critics, penalties and targets take no part.
         limit: the largest action.
-        steps: environment steps that the phase lasts.
+        steps: environment steps that the phase lasts; None: those of the run, or 30,000 where it has no such number.
         updates_per_step: of Adam, for each environment step.
         batch_size: states in a batch.
         lr: Adam's learning rate at first.
         final_lr: what it has fallen to at the end, geometrically.
+        run_steps: environment steps after which the run ends.
         execution: as in :class:`~uavrl.training.compiled.LossGradients`. Nothing is compiled, which would take a good
             part of so short a phase: large batches spend their time in matrix products.
 
@@ -59,15 +61,17 @@ class Cloning:
         loss: ActorCriticLoss,
         limit: Positive,
         *,
-        steps: Count = 30_000,
+        steps: Count | None = None,
         updates_per_step: Annotated[float, Field(gt=0, le=100)] = 0.4,
         batch_size: Count = 512,
         lr: Positive = 1e-3,
         final_lr: Positive = 1e-4,
+        run_steps: int | None = None,
         execution: Execution = "captured",
     ) -> None:
         self.loss, self.limit = loss, limit
-        self.steps, self.updates_per_step, self.batch_size = steps, updates_per_step, batch_size
+        self.steps = steps or run_steps or DEFAULT_STEPS
+        self.updates_per_step, self.batch_size = updates_per_step, batch_size
         self.lr, self.final_lr = lr, final_lr
         recorded: Execution = "eager" if execution == "eager" else "captured"
         self.step = GradientStep(self._distance, loss.actor_tensors, lr, recorded, FLOWN_STATES)
