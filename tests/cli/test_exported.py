@@ -102,3 +102,19 @@ def test_a_contract_of_another_reduction_ends_in_a_sentence(tmp_path: Path, refu
     folder = exported(tmp_path, "algo.hidden=[4]")
     edit_contract(folder, lambda terms: terms["cells"].update(reduction="range_image"))
     assert "cells are not those of range_image" in refused(evaluate_command.main, f"policy={folder}", *SHORT)
+
+
+def test_with_a_lidar_of_ones_own_it_flies_where_that_is_described(tmp_path: Path, refused: Refused) -> None:
+    """The contract names it and has none of its rays."""
+    lidar = tmp_path / "mine.yaml"
+    lidar.write_text("name: mine\nelevations: [-14, -7, 0, 7, 14]\nazimuth_steps: 360\nmax_range: 30\n")
+    folder = exported(tmp_path, "algo.hidden=[16]", *CELLS, f"env.lidar={lidar}")
+    said = refused(evaluate_command.main, f"policy={folder}", *SHORT)
+    assert "was trained with mine, a LiDAR of its own" in said and "with env.lidar=FILE.yaml" in said
+    ours = evaluation(tmp_path / "policy.json", f"policy={folder}", f"env.lidar={lidar}")
+    theirs = evaluation(tmp_path / "run.json", f"run={folder}")
+    assert ours["outcomes"] == theirs["outcomes"] and ours["lidar"] == theirs["lidar"] == "mine"
+    for flown, expected in zip(ours["flights"], theirs["flights"], strict=True):
+        assert flown["flown"] == pytest.approx(expected["flown"], abs=1e-3)
+    other = evaluation(tmp_path / "other.json", f"policy={folder}", "allow_unseen=true")
+    assert "lidar" not in other, "with the default's"

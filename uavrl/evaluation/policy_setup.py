@@ -13,6 +13,7 @@ from uavrl.config import TrainConfig, validate
 from uavrl.config.build import TARGET
 from uavrl.config.parts import Part
 from uavrl.config.settings import EvaluateConfig, FlyingConfig
+from uavrl.envs.sensors import SENSORS, LidarSensor
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.evaluation.policies import default_guards, named_policy
@@ -118,6 +119,8 @@ def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPoli
         trained_with = trained_sensor(policy.config)  # type: ignore[attr-defined]  # of a run it is a LoadedPolicy
     elif policy.overrides is not None:
         trained_with = policy.overrides.get(SENSOR, TRAINED_WITH)
+        if trained_with not in SENSORS:
+            trained_with = _own_sensor(trained_with, lidar.device, settings)
     allowed = settings.allow_unseen
     unseen = check_field_of_view(chosen.perception, trained_with, settings.packages, allowed=allowed)
     perception = Part(with_trained_view(chosen.perception, trained_with, settings.packages))
@@ -125,6 +128,17 @@ def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPoli
         return replace(chosen, perception=perception)
     source = {**chosen.source, "lidar": lidar.device.name, "unseen_cells": unseen}
     return replace(chosen, source=source, perception=perception)
+
+
+def _own_sensor(name: str, flown: LidarSensor, settings: FlyingConfig) -> LidarSensor:
+    """Return the LiDAR of one's own that a policy was trained with, of which its contract has no rays."""
+    if flown.name != name and not settings.allow_unseen:
+        raise UavrlError(
+            f"{settings.policy} was trained with {name}, a LiDAR of its own, whose rays are not in its contract: name "
+            f"the YAML file that describes it with env.lidar=FILE.yaml, or fly with {flown.name} nevertheless with "
+            "allow_unseen=true."
+        )
+    return flown
 
 
 def _guarded(
@@ -158,7 +172,8 @@ def _as_contracted(
     given = keys_of(overrides)
     require_sensor_alone(given, ("perception",), "policy")
     for key, value in policy.overrides.items():
-        if key not in given and OmegaConf.select(config, key.rpartition(".")[0]) is not None:
+        own_sensor = key == SENSOR and value not in SENSORS
+        if key not in given and not own_sensor and OmegaConf.select(config, key.rpartition(".")[0]) is not None:
             OmegaConf.update(config, key, value, merge=False)
     return validate(config, type(settings))
 

@@ -75,7 +75,7 @@ class ExportedPolicy:
         perception |= {} if terms.motion is None else {"motion": terms.motion.max_range}
         name = "vlp16" if terms.cloud.lidar is None else terms.cloud.lidar.name
         if name != "vlp16":
-            perception["lidar.sensor"] = name  # one of somebody's own is refused: its rays are not in the contract
+            perception["lidar.sensor"] = name  # of somebody's own, whose rays are not in the contract, a command asks
         velocity_limit = terms.action.high[0]
         if velocity_limit != VEHICLE.velocity_limit:
             perception["max_speed"] = velocity_limit
