@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
 from onboard.tests.guards.map.test_wayfinder import ALTITUDE, STILL, scanned, wall
 
 from uavrl_onboard.guards.map import EpisodeMap, Navigator
-from uavrl_onboard.guards.map.navigator import ELSEWHERE, EVERY
+from uavrl_onboard.guards.map.navigator import CIRCLES, ELSEWHERE, EVERY, WITHIN
+from uavrl_onboard.guards.map.route import waypoint
+from uavrl_onboard.vehicle import VEHICLE
 
 GOAL, NOTHING = np.array([105.0, 50.0]), np.full((1, 3), np.nan)
 START = np.array([100.0, 50.0, ALTITUDE])  # anywhere in the world's axes
@@ -110,3 +113,24 @@ def test_nothing_is_imported_in_flight() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_one_that_has_got_nowhere_is_led_to_the_point_before_a_corner(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Elsewhere it is led to a point behind the corner."""
+    told: list[bool] = []
+
+    def noted(*given: Any, closely: bool) -> tuple[int, bool]:
+        told.append(closely)
+        return waypoint(*given, closely=closely)
+
+    monkeypatch.setattr("uavrl_onboard.guards.map.navigator.waypoint", noted)
+    navigator, points, scans = Navigator(), wall((2.0, 3.0), (2.0, -1.0)), round(CIRCLES / VEHICLE.period)
+    for angle in np.arange(scans + 10) * 0.14:  # once around in 4.5 s
+        looked(navigator, points, START + 0.4 * WITHIN * np.array([np.cos(angle), np.sin(angle), 0.0]))
+    assert told == [False] * (scans - 1) + [True] * 11
+    for far in np.arange(0.0, 2 * WITHIN, 0.2):
+        looked(navigator, points, START - np.array([far, 0.0, 0.0]))
+    assert told[-1] is False, "it has got away"
+    navigator.reset()
+    looked(navigator, points)
+    assert told[-1] is False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -18,6 +19,7 @@ EVERY = 5  # of so many scans one is entered, and then the way is found anew: 2 
 AHEAD = 4.0  # m, how far along the way a vehicle looks
 ROUGH = 1e-4  # share of the sight by which heights in single precision may be off, and more
 BESIDE = 0.5  # m around a moving body, in which the cells that it left lie
+CIRCLES, WITHIN = 6.0, 4.0  # s in which a vehicle that stays within so many m along each axis gets nowhere
 FARTHEST = 1e8  # m from the origin, beyond which no vehicle is: cells are counted in 32 bits
 
 
@@ -25,10 +27,12 @@ class Navigator:
     """Leads a vehicle that knows its place and its goal along the quickest way through what it has seen.
 
     What every fifth scan shows at the flight level enters a map of cells, and the quickest way through it to the goal
-    is found (:func:`uavrl_onboard.guards.map.route.route`), in which what was not seen is free. So a vehicle looks
-    into a dead end
-    and flies out again. Moving objects leave the map again where they are told; what lies over or under the flight
-    level is not in it. A vehicle that is 2 m elsewhere from one scan to the next begins a new map: its axes have moved.
+    is found (:func:`uavrl_onboard.guards.map.route.route`), in which what was not seen is free. So a vehicle looks into
+    a dead end and flies out again. Where the way bends around a corner, it leads to a point behind the corner, which a
+    policy that avoids obstacles flies around by itself; where the vehicle has got nowhere for some seconds, it leads to
+    the last point before the corner. Moving objects leave the map again where they are told; what lies over or under
+    the flight level is not in it. A vehicle that is 2 m elsewhere from one scan to the next begins a new map: its axes
+    have moved.
 
     Args:
         sight: how far returns count, m.
@@ -72,7 +76,7 @@ class Navigator:
         """Forgets all that was seen."""
         self.known = EpisodeMap(*self._size)
         self._way: np.ndarray | None = None
-        self._last: np.ndarray | None = None  # place
+        self._trail: deque[np.ndarray] = deque(maxlen=round(CIRCLES / self.period))  # places, the last one last
         self._scans = 0
 
     def look(
@@ -113,10 +117,11 @@ class Navigator:
         level = np.array(place[:2], np.float64)  # its own: a caller may move its place on in the same array
         if (far := float(np.linalg.norm(goal - level))) > (reach := self._size[1]):
             goal = level + reach / far * (goal - level)  # beyond it nothing is known, and the search would take seconds
-        if self._last is not None and np.linalg.norm(level - self._last) > ELSEWHERE:
+        if self._trail and np.linalg.norm(level - self._trail[-1]) > ELSEWHERE:
             self.reset()
         due, now = self._scans % EVERY == 0, self._scans * self.period
-        self._last, self._scans = level, self._scans + 1
+        self._scans += 1
+        self._trail.append(level)
         if due:
             self.known.look(self._seen(returns(), attitude, place[2]) + level, level, now)
         if bodies is not None and len(bodies):
@@ -127,11 +132,15 @@ class Navigator:
             self._way = self.known.route(level, goal)
         if self._way is None:
             return 0.0
-        point, straight = waypoint(self._way, level, self.known.middles(), AHEAD)
+        point, straight = waypoint(self._way, level, self.known.middles(), AHEAD, closely=self._circles())
         if straight and point == len(self._way) - 1:
             return 0.0
         (x, y), (goal_x, goal_y) = self._way[point] - level, goal - level
         return float((np.arctan2(y, x) - np.arctan2(goal_y, goal_x) + np.pi) % (2 * np.pi) - np.pi)
+
+    def _circles(self) -> bool:
+        """Whether the vehicle has got nowhere for a while."""
+        return len(self._trail) == self._trail.maxlen and bool((np.ptp(self._trail, axis=0) < WITHIN).all())
 
     def _seen(self, returns: np.ndarray, attitude: np.ndarray, altitude: float) -> np.ndarray:
         """What returns within sight show at the flight level, ``[K, 2]`` m from the vehicle, world axes."""

@@ -17,6 +17,7 @@ SQUEEZED = 10.0
 ROOM = (0.5, 3.0, math.inf)  # m, by which a detour may be greater than expected, search by search
 ROUNDING = 1e-9  # share by which sums of lengths may be off
 SPARE = 0.5  # m, by which more obstacles are looked at than can be in the way
+NEAREST = 1.0  # m, a point that is nearer is no direction
 SEEN_AROUND = 0.6  # m that a straight line of the way keeps between hull and cells
 
 
@@ -156,9 +157,18 @@ def _steps(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def waypoint(
-    way: np.ndarray, place: np.ndarray, obstacles: np.ndarray, ahead: float, radius: float = VEHICLE.radius
+    way: np.ndarray,
+    place: np.ndarray,
+    obstacles: np.ndarray,
+    ahead: float,
+    radius: float = VEHICLE.radius,
+    *,
+    closely: bool = False,
 ) -> tuple[int, bool]:
     """The last point of a way that is straight ahead, or else where the way bends within sight.
+
+    Where the way bends, that point may lie behind a corner, which a vehicle that avoids obstacles flies around by
+    itself. ``closely`` gives the last point before the corner instead, unless it is nearer than ``NEAREST``.
 
     Args:
         way: ``[L, 2]`` m.
@@ -166,6 +176,7 @@ def waypoint(
         obstacles: ``[K, 2]`` m.
         ahead: how far the vehicle looks along the way, m.
         radius: of the hull, m; 0.35 by default.
+        closely: whether a point that is straight ahead is preferred however near it is.
 
     Returns:
         The point's place in the way, and whether it is straight ahead.
@@ -178,11 +189,15 @@ def waypoint(
         (3, True)
         >>> waypoint(corner, np.zeros(2), np.array([[1.5, 0.5]]), ahead=2.0)
         (2, False)
+        >>> before = np.array([[1.5, 1.4]])
+        >>> waypoint(corner, np.zeros(2), before, ahead=3.5), waypoint(corner, np.zeros(2), before, 3.5, closely=True)
+        ((4, False), (3, True))
     """
     first = int(((way - place) ** 2).sum(1).argmin())
     left = way[first:]
     last = _last_free(Obstacles(_near(obstacles, place, left, radius), place, radius + SEEN_AROUND), place, left)
-    if last >= 0 and (last == len(left) - 1 or np.linalg.norm(left[last] - place) >= ahead):
+    enough = NEAREST if closely else ahead
+    if last >= 0 and (last == len(left) - 1 or np.linalg.norm(left[last] - place) >= enough):
         return first + last, True
     gone = np.cumsum(np.linalg.norm(np.diff(left, axis=0, prepend=place[None]), axis=1))
     return first + min(int(np.searchsorted(gone, ahead)), len(left) - 1), False
