@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -22,7 +23,7 @@ from uavrl.training.cloning import Cloning
 from uavrl.training.run import create_run, seed_everything
 
 SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true", "demonstrator=vfh"]
-CLONED = ["cloning=dagger", "cloning.steps=100", "cloning.updates_per_step=0.5", "cloning.batch_size=32", *SEEN]
+CLONED = ["cloning=dagger", "cloning.steps=100", "cloning.updates_per_step=0.5", "cloning.batch_size=32", "cloning.critic_updates=20", *SEEN]
 
 
 def make_loss() -> TD3Loss:
@@ -131,6 +132,30 @@ def test_the_actors_learning_rate_falls_in_what_cloning_leaves_of_the_run(tmp_pa
     trainer = build_trainer(validate(config), config, create_run(config))
     assert trainer.stepper.actor_lr_decay == (50.0, 100.0)
     trainer.collector.shutdown()
+
+
+def test_critics_learn_before_the_actor_learns_from_them(tmp_path: Path) -> None:
+    """Only where the run goes on after the phase, and the actor stays as it was cloned."""
+    for steps, warms in ((100, False), (140, True)):
+        config = small_config(tmp_path / str(steps), *CLONED, f"trainer.steps={steps}")
+        trainer = build_trainer(validate(config), config, create_run(config))
+        cloned: list[TensorDict] = []
+        hand_over, warm_up, updates = trainer.cloning._hand_over, trainer.warm_up, []  # type: ignore[union-attr]
+
+        def handed(end: Any = hand_over, run: Any = trainer, kept: Any = cloned) -> None:
+            end()
+            kept.extend([run.loss.actor_network_params.data.clone(), run.loss.qvalue_network_params.data.clone()])
+
+        def warmed(count: int, warm: Any = warm_up, run: Any = trainer, kept: Any = cloned, told: Any = updates) -> None:
+            warm(count)
+            told.append((count, run.stepper.updates))
+            assert (run.loss.actor_network_params.data == kept[0]).all()
+            assert not (run.loss.qvalue_network_params.data == kept[1]).all()
+
+        trainer.cloning._hand_over, trainer.warm_up = handed, warmed  # type: ignore[union-attr, method-assign]
+        trainer.save()
+        trainer.train()
+        assert updates == ([(20, 0)] if warms else [])
 
 
 def test_it_needs_a_demonstrator(tmp_path: Path) -> None:

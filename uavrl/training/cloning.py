@@ -37,6 +37,7 @@ class Cloning:
         batch_size: states in a batch.
         lr: Adam's learning rate at first.
         final_lr: what it has fallen to at the end, geometrically.
+        critic_updates: of the critics alone, on all states flown so far, before the algorithm takes over.
         run_steps: environment steps after which the run ends.
         execution: as in :class:`~uavrl.training.compiled.LossGradients`. Nothing is compiled, which would take a good
             part of so short a phase: large batches spend their time in matrix products.
@@ -66,13 +67,14 @@ class Cloning:
         batch_size: Count = 512,
         lr: Positive = 1e-3,
         final_lr: Positive = 1e-4,
+        critic_updates: Annotated[int, Field(ge=0, le=10**6)] = 2000,
         run_steps: int | None = None,
         execution: Execution = "captured",
     ) -> None:
         self.loss, self.limit = loss, limit
         self.steps = steps or run_steps or DEFAULT_STEPS
         self.updates_per_step, self.batch_size = updates_per_step, batch_size
-        self.lr, self.final_lr = lr, final_lr
+        self.lr, self.final_lr, self.critic_updates = lr, final_lr, critic_updates
         recorded: Execution = "eager" if execution == "eager" else "captured"
         self.step = GradientStep(self._distance, loss.actor_tensors, lr, recorded, FLOWN_STATES)
         self.updates = 0

@@ -158,6 +158,15 @@ class EpisodeTrainer:
         if (loss := cloning.learn(batches, self.collected_frames)) is not None:
             self._require_finite(loss, "The distance to the demonstrator", cloning.updates)
             self.log.add({"loss_cloning": loss}, self.collected_frames)
+        if cloning.finished and not self.finished and cloning.critic_updates:
+            self.warm_up(cloning.critic_updates)
+
+    def warm_up(self, updates: int) -> None:
+        """Lets the critics learn what the cloned policy is worth, before the actor learns from them."""
+        log.info("The critics learn from what was flown so far (%s), before the actor does.", f"{updates:,} updates")
+        losses = [self.stepper.warm_up(batch) for batch in self.replay.batches(updates)]
+        self._require_finite(torch.stack(losses).mean().item(), "The critic's loss", updates)
+        self._stall_notice.reset()
 
     def learn(self, updates: int, *, actor: bool) -> None:
         """Updates critics and models, and every so many times the actor and the targets, on random batches."""

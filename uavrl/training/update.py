@@ -145,6 +145,14 @@ class ActorCriticStepper(OptimizationStepper):
             self.loss.move_memories(self.tau)
         return TensorDict({"loss_value": value.loss, "loss_actor": self._actor_loss, "value": value.metadata["value"]})
 
+    def warm_up(self, batch: TensorDictBase) -> Tensor:
+        """Updates critics and targets alone on one batch; returns the critics' loss. It counts as no update."""
+        value = self.critic(batch)
+        self.loss.project_weights()
+        if self.targets is not None:
+            self.targets.step()
+        return value.loss
+
     def _value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The critics' loss, with the mean value and the priority (Eq. 2.17: the absolute error) beside it."""
         loss, metadata = self.loss.value_loss(batch)
