@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -23,7 +22,10 @@ from uavrl.training.cloning import Cloning
 from uavrl.training.run import create_run, seed_everything
 
 SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true", "demonstrator=vfh"]
-CLONED = ["cloning=dagger", "cloning.steps=100", "cloning.updates_per_step=0.5", "cloning.batch_size=32", "cloning.critic_updates=20", *SEEN]
+CLONED = [
+    *("cloning=dagger", "cloning.steps=100", "cloning.updates_per_step=0.5", "cloning.batch_size=32"),
+    *("cloning.critic_updates=20", *SEEN),
+]
 
 
 def make_loss() -> TD3Loss:
@@ -134,28 +136,26 @@ def test_the_actors_learning_rate_falls_in_what_cloning_leaves_of_the_run(tmp_pa
     trainer.collector.shutdown()
 
 
-def test_critics_learn_before_the_actor_learns_from_them(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("steps", "warmed"), [(100, []), (140, [(20, 0)])])
+def test_critics_learn_before_the_actor_learns_from_them(
+    steps: int, warmed: list[tuple[int, int]], tmp_path: Path
+) -> None:
     """Only where the run goes on after the phase, and the actor stays as it was cloned."""
-    for steps, warms in ((100, False), (140, True)):
-        config = small_config(tmp_path / str(steps), *CLONED, f"trainer.steps={steps}")
-        trainer = build_trainer(validate(config), config, create_run(config))
-        cloned: list[TensorDict] = []
-        hand_over, warm_up, updates = trainer.cloning._hand_over, trainer.warm_up, []  # type: ignore[union-attr]
+    config = small_config(tmp_path / "run", *CLONED, f"trainer.steps={steps}")
+    trainer = build_trainer(validate(config), config, create_run(config))
+    warm_up, found = trainer.warm_up, []
+    actor, critics = trainer.loss.actor_network_params, trainer.loss.qvalue_network_params
 
-        def handed(end: Any = hand_over, run: Any = trainer, kept: Any = cloned) -> None:
-            end()
-            kept.extend([run.loss.actor_network_params.data.clone(), run.loss.qvalue_network_params.data.clone()])
+    def noted(updates: int) -> None:
+        found.append((updates, trainer.stepper.updates))
+        before = actor.data.clone(), critics.data.clone()
+        warm_up(updates)
+        assert (actor.data == before[0]).all() and not (critics.data == before[1]).all()
 
-        def warmed(count: int, warm: Any = warm_up, run: Any = trainer, kept: Any = cloned, told: Any = updates) -> None:
-            warm(count)
-            told.append((count, run.stepper.updates))
-            assert (run.loss.actor_network_params.data == kept[0]).all()
-            assert not (run.loss.qvalue_network_params.data == kept[1]).all()
-
-        trainer.cloning._hand_over, trainer.warm_up = handed, warmed  # type: ignore[union-attr, method-assign]
-        trainer.save()
-        trainer.train()
-        assert updates == ([(20, 0)] if warms else [])
+    trainer.warm_up = noted  # type: ignore[method-assign]
+    trainer.save()
+    trainer.train()
+    assert found == warmed
 
 
 def test_it_needs_a_demonstrator(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import torch
-from torchrl.data import Unbounded
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import Compose, EnvBase, InitTracker, TensorDictPrimer, Transform, TransformedEnv
 
 from uavrl.config.build import TARGET, arguments, build, find_class
@@ -134,7 +134,7 @@ def require_keys(
 
     ``before_acting`` leaves out actions, rewards and ends, of which an observation knows nothing.
     """
-    specs = (env.observation_spec,)
+    specs: tuple[Composite, ...] = (env.observation_spec,)
     if not before_acting:
         specs += (env.full_reward_spec, env.full_done_spec, env.full_action_spec)
     emitted = {key for spec in specs for key in spec.keys(True, True)}

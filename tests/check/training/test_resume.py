@@ -32,7 +32,10 @@ SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=
 DECAY = ["actor_penalty.final_weight=0.2", "actor_penalty.decay_steps=400", "smoothness=action_rate"]
 GUIDED = ["demonstrator=vfh", "actor_penalty=imitation", *DECAY, "algo.learning_starts=60", *SEEN]
 
-CLONED = ["cloning=dagger", "cloning.steps=120", "cloning.batch_size=16", "cloning.critic_updates=5", *GUIDED]  # and TD3 after that
+CLONED = [  # and TD3 after that
+    *("cloning=dagger", "cloning.steps=120", "cloning.batch_size=16", "cloning.critic_updates=5"),
+    *GUIDED,
+]
 RECURRENT = [  # clones another demonstrator, then learns as CLONED does, on windows, with critics that know more
     *(each.replace("demonstrator=vfh", "demonstrator=vfh_mapped") for each in CLONED),
     "recurrent=gru",
