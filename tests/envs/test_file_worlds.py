@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 import struct
@@ -20,7 +21,9 @@ from pypcd4 import PointCloud
 from tests.helpers.valleys import NEAR
 from uavrl.envs import file_worlds, shape_file, shape_reader
 from uavrl.envs.file_worlds import CloudConfig, FileWorld, MeshConfig
+from uavrl.envs.lidar import Lidar, LidarConfig
 from uavrl.envs.navigation import NavigationEnv
+from uavrl.envs.shape_file import Surface, columns_along, floor_of, other_up, sampled
 from uavrl.envs.voxels import occupied, voxel_mesh
 from uavrl.envs.world import World
 from uavrl.errors import UavrlError
@@ -75,7 +78,7 @@ def test_any_mesh_file_gives_the_same_place(suffix: str, site: trimesh.Trimesh, 
     assert sorted(scene.size) == pytest.approx(sorted(SIZE), abs=1e-4) and len(solid.mesh.faces) == 36
     low, high = solid.mesh.vertices.min(0), solid.mesh.vertices.max(0)
     np.testing.assert_allclose(sorted(high[:2]), [6, 8], atol=1e-4)
-    np.testing.assert_allclose([low[2], high[2]], [0.0, 8.2], atol=1e-4)
+    np.testing.assert_allclose([low[2], high[2]], [-0.2, 8.0], atol=1e-4)  # the slab's top is the ground
 
 
 @pytest.mark.parametrize("suffix", shape_reader.CLOUDS)
@@ -153,6 +156,101 @@ def test_other_units_and_axes(site: trimesh.Trimesh, tmp_path: Path) -> None:
     refused(lambda: MeshConfig(file=str(write_mesh(small, tmp_path / "s.stl"))), r"is only 0\.16 × 0\.12 × 0\.082 m")
 
 
+@pytest.mark.parametrize("read_as", ["x", "y", "z"])
+@pytest.mark.parametrize("right", ["x", "y", "z"])
+def test_the_axis_that_points_up_is_named(right: str, read_as: Any) -> None:
+    seen = np.array([20.0 if axis == right else 10.0 for axis in "xyz"])
+    turned = seen[list(shape_file.TURNED[read_as])]
+    assert other_up(turned, 9.0, read_as) == (None if right == read_as else right)
+    assert other_up(turned, 10.0, read_as) is None
+
+
+def test_a_glb_with_z_up(site: trimesh.Trimesh, tmp_path: Path) -> None:
+    site.export(tmp_path / "z.glb")
+    refused(lambda: MeshConfig(file=str(tmp_path / "z.glb")), r"write env\.world\.up=z, or env\.world\.up=y if it is")
+    assert MeshConfig(file=str(tmp_path / "z.glb"), up="z").scene(0).size == pytest.approx(SIZE, abs=1e-4)
+
+
+def test_a_cloud_with_y_up(points: np.ndarray, tmp_path: Path) -> None:
+    assert columns_along(np.array([[0, 0, 0], [1, 0, 0], [1, 5, 0], [1, 5, 9]])).tolist() == [3, 3, 3]
+    lying = points[:, [2, 0, 1]]  # x is up
+    file = str(write_cloud(lying, tmp_path / "x.npy"))
+    refused(lambda: CloudConfig(file=file), r"write env\.world\.up=x, or env\.world\.up=z if it is")
+    assert CloudConfig(file=file, up="x").scene(0).size == pytest.approx(SIZE, abs=0.3)
+    assert CloudConfig(file=file, up="z").scene(0).size == pytest.approx((8.2, SIZE[0]), abs=0.3)
+
+
+def terrain(base: float | None) -> trimesh.Trimesh:
+    """20 × 20 m of waves, with a flat base and sides if it is given: then it is a closed solid."""
+    x, y = np.mgrid[-10:11, -10:11].astype(float)
+    top = np.stack([x, y, 0.3 * np.sin(x / 3) * np.cos(y / 3)], -1).reshape(-1, 3)
+    index = np.arange(441).reshape(21, 21)
+    a, b, c, d = (each.ravel() for each in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    if base is None:
+        return trimesh.Trimesh(top, faces)
+    border = np.concatenate([index[:, 0], index[-1, 1:], index[-2::-1, -1], index[0, -2:0:-1]])
+    after = np.roll(border, -1)
+    sides = [np.stack([border, border + 441, after], 1), np.stack([after, border + 441, after + 441], 1)]
+    block = trimesh.Trimesh(
+        np.concatenate([top, top * [1, 1, 0] + [0, 0, base]]), np.concatenate([faces, faces[:, ::-1] + 441, *sides])
+    )
+    assert block.is_watertight and block.volume > 0
+    return block
+
+
+def test_the_top_of_a_solid_is_its_ground() -> None:
+    open_, block = floor_of(sampled(terrain(None).triangles)), floor_of(sampled(terrain(-10.0).triangles))
+    assert open_[0] == open_[1] == pytest.approx(0.0, abs=0.1)
+    assert block == pytest.approx((open_[0], -10.0), abs=0.05)
+    assert floor_of(sampled(terrain(-10.0).triangles, 1000)) == pytest.approx((0.0, -10.0), abs=0.2)  # few per column
+    assert floor_of(Surface(sampled(terrain(-10.0).triangles).points)) == pytest.approx((-10.0, -10.0))
+
+
+def test_what_is_no_solid_keeps_its_lowest_floor() -> None:
+    turned, room = terrain(None), box((20, 20, 6), (0, 0, 3))
+    turned.invert()
+    room.invert()
+    pillars = [box((2, 2, 6), (x, y, 3)) for x in range(-9, 10, 6) for y in range(-9, 10, 6)]
+    house = trimesh.util.concatenate([room, box((22, 22, 8), (0, 0, 3))])  # walls, a floor and a roof of 1 m
+    assert floor_of(sampled(room.triangles)) == pytest.approx((0.0, 0.0))
+    assert floor_of(sampled(trimesh.util.concatenate(pillars).triangles))[0] == pytest.approx(0.0, abs=0.05)
+    assert floor_of(sampled(house.triangles)) == pytest.approx((0.0, -1.0))
+    low, lowest = floor_of(sampled(turned.triangles))
+    assert low == lowest == pytest.approx(0.0, abs=0.1)
+
+
+def test_vehicles_start_above_the_top_of_a_solid(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    block = trimesh.util.concatenate([terrain(-10.0), box((1, 1, 9), (0, 0, 2))])
+    block.export(tmp_path / "block.stl")
+    with caplog.at_level(logging.INFO, "uavrl"):
+        world = World(MeshConfig(file=str(tmp_path / "block.stl"), **SHORT))
+    assert "It is a solid: its top is the ground; write env.world.floor=-10.00 if that is wrong" in caplog.text
+    tasks = [world.sample_task(np.random.default_rng(seed)) for seed in range(8)]
+    down = LidarConfig(sensor={"elevations": [-90.0], "azimuth_steps": 1})
+    seen = Lidar(world.meshes, None, down).scan(np.stack([task.start for task in tasks]), np.stack([np.eye(3)] * 8))
+    np.testing.assert_allclose(np.linalg.norm(seen, axis=-1), 3.5, atol=0.4)
+
+
+@pytest.mark.parametrize("voxel", [0.2, 1.0, 2.0])
+def test_the_ground_of_a_cloud_is_the_top_of_its_voxels(voxel: float, tmp_path: Path) -> None:
+    x, y = np.mgrid[0:12:0.09, 0:12:0.09]
+    np.save(tmp_path / "flat.npy", np.stack([x, y, np.full_like(x, 0.01)], -1).reshape(-1, 3))
+    (solid,) = CloudConfig(file=str(tmp_path / "flat.npy"), voxel=voxel).scene(0).obstacles
+    assert solid.mesh.vertices[:, 2].max() == pytest.approx(0.0, abs=1e-6)
+    assert solid.mesh.vertices[:, 2].min() == pytest.approx(-voxel, abs=1e-6)
+
+
+def test_a_part_beyond_the_file_is_told(
+    site: trimesh.Trimesh, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = str(write_mesh(site, tmp_path / "a.stl"))
+    MeshConfig(file=file, size=(SIZE[0] + 0.9, SIZE[1])).scene(0)
+    assert "empty space" not in caplog.text
+    MeshConfig(file=file, size=(SIZE[0] + 1.2, SIZE[1])).scene(0)
+    assert "env.world.size=[17.2,12] around [100.0,50.0] is larger: the rest is empty space without" in caplog.text
+
+
 def test_no_room_at_the_flight_level(site: trimesh.Trimesh, tmp_path: Path) -> None:
     file = str(write_mesh(trimesh.util.concatenate([site, box((*SIZE, 4.0), (100, 50, 13))]), tmp_path / "a.stl"))
     refused(lambda: MeshConfig(file=file, **SHORT), "free at the flight level of 3.5 m; check env.world.up, floor")
@@ -203,6 +301,88 @@ def test_a_file_that_is_cut_off(name: str, site: trimesh.Trimesh, points: np.nda
     path.write_bytes(path.read_bytes()[:-700])
     config: Any = MeshConfig if is_mesh else CloudConfig
     refused(lambda: config(file=str(path)), "cannot be read as")
+
+
+@pytest.mark.parametrize("data", ["ascii", "binary"])
+def test_a_pcd_with_fewer_points_than_it_tells(data: str, tmp_path: Path) -> None:
+    values = np.arange(60, dtype=np.float32).reshape(20, 3)
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 20\nHEIGHT 1\n"
+    head += f"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 20\nDATA {data}\n"
+    rows = [" ".join(map(str, row)).encode() + b"\n" if data == "ascii" else row.tobytes() for row in values]
+    path = tmp_path / "a.pcd"
+    path.write_bytes(head.encode() + b"".join(rows))
+    np.testing.assert_array_equal(shape_reader.read_shape(path, 2**30)[0], values)
+    path.write_bytes(head.encode() + b"".join(rows[:9]))
+    with pytest.raises(ValueError, match="it holds 9 of the 20 points that its header tells"):
+        shape_reader.read_shape(path, 2**30)
+
+
+@pytest.mark.parametrize("face", ["f -4 -3 -2", "f -4/1/1 -3/1/1 -2/1/1", "\tf\t1 2 -1", "f 1//-1 2//-1 3//-1"])
+def test_an_obj_with_relative_indices(face: str, tmp_path: Path) -> None:
+    corners = "v -5 -5 0\nv 5 -5 0\nv 5 5 0\nv -5 5 0\nvt 0 0\nvn 0 0 1\n"
+    path = tmp_path / "a.obj"
+    path.write_text(f"# f -1\n{corners}f 1 2 3\n")
+    assert shape_reader.read_shape(path, 2**30)[1].shape == (1, 3)
+    path.write_text(f"{corners}f 1 2 3\n{face}\n")
+    with pytest.raises(ValueError, match=r"relative \(negative\) indices, .* export it with absolute ones"):
+        shape_reader.read_shape(path, 2**30)
+
+
+@pytest.mark.parametrize("name", shape_reader.COMPRESSED)
+def test_a_compressed_glb(name: str, site: trimesh.Trimesh, tmp_path: Path) -> None:
+    path = tmp_path / "a.glb"
+    path.write_bytes(glb({"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_other", name]}))
+    with pytest.raises(ValueError, match=f"is compressed with {name}, which is not read: export it without"):
+        shape_reader.read_shape(path, 2**30)
+    for whole in (b"glTF", glb([]), glb({"extensionsRequired": 5})):  # type: ignore[arg-type]
+        path.write_bytes(whole)
+        with pytest.raises(Exception) as told:
+            shape_reader.read_shape(path, 2**30)
+        assert "compressed" not in str(told.value)
+
+
+def test_a_whole_file_that_is_not_read_is_told_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 9 0 0\nv 9 9 0\nf -3 -2 -1\n")
+    refused(lambda: MeshConfig(file=str(tmp_path / "a.obj")), r"/a\.obj has faces with relative .* absolute ones\.$")
+
+
+def test_files_without_extent_and_points_far_outside(points: np.ndarray, tmp_path: Path) -> None:
+    for count in (1, 9):
+        with pytest.raises(UavrlError, match=r"has no extent: all of its points lie at one place"):
+            shape_file.to_metres(np.ones((count, 3)), tmp_path, 1.0, "z")
+    with pytest.raises(UavrlError, match=r"env\.world\.scale=0\.001, or remove points that lie far outside; at most"):
+        shape_file.to_metres(np.vstack([points, [[1e6, 0, 0]]]), tmp_path, 1.0, "z")
+    with pytest.raises(UavrlError, match=r"env\.world\.scale=0\.001; at most 5,000 m"):
+        shape_file.to_metres(points * 1000, tmp_path, 1.0, "z")
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"file": 5}, "file takes the path of a file, got 5: write"),
+        ({"file": ["a"]}, "file takes the path of a file, got"),
+        ({"centre": 5}, "centre takes x and y in metres, got 5"),
+        ({"centre": "ab"}, "centre takes x and y in metres, got 'ab'"),
+        ({"centre": (1, 2, 3)}, "centre takes x and y in metres, got"),
+        ({"centre": (1, [2])}, "centre must be finite numbers, got"),
+        ({"centre": (1, "a")}, "centre must be finite numbers, got"),
+        ({"size": 5}, "size takes a list of numbers, got 5"),
+        ({"size": (1, 2, 3)}, "size takes two lengths in metres, got"),
+        ({"size": (1, -2)}, "size must be above 0, got"),
+        ({"floor": "a"}, "floor must be a finite number, got 'a'"),
+        ({"floor": (1, 2)}, "floor must be a finite number, got"),
+        ({"scale": "x"}, "scale must be a finite number, got 'x'"),
+        ({"scale": (1, 1, 1)}, "scale must be a finite number, got"),
+        ({"scale": 0}, "scale must be above 0, got 0"),
+        ({"up": "w"}, "up must be x, y, z or None, got 'w'"),
+        *(({"voxel": value}, r"voxel must be a finite number from 0\.02 to 5, got") for value in (0.001, 50, -1, "a")),
+        ({"voxel": float("nan")}, r"voxel must be a finite number from 0\.02 to 5, got nan"),
+        *(({"min_points": value}, "min_points must be a whole number, 1 or more, got") for value in (0, 1.5, "2")),
+    ],
+)
+def test_settings_that_are_no_values(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(UavrlError, match=told):
+        CloudConfig(**{"file": "a.npy", **given})
 
 
 def test_a_file_that_is_being_written(site: trimesh.Trimesh, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

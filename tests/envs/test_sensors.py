@@ -1,5 +1,6 @@
 """The simulated LiDARs: their rays, what they see, and files of one's own."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -207,6 +208,9 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "list.yaml").write_text("- 1\n")
     (tmp_path / "code.yaml").write_text("!!python/object/apply:os.getcwd []\n")
     (tmp_path / "text.csv").write_text("x,y,z\n1,2,3\n")
+    (tmp_path / "empty.csv").touch()
+    np.savez(tmp_path / "rays.npz", rays=np.ones((2, 3)))
+    (tmp_path / "rays.npz").rename(tmp_path / "npz.npy")
     refused: list[tuple[Any, str]] = [
         ("vlp61", r"must be one of vlp16, os0_32, .*, got 'vlp61': did you mean vlp16"),
         (str(tmp_path / "none.yaml"), r"none.yaml cannot be read \(No such file or directory\)"),
@@ -228,6 +232,8 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
     for path, told in {
         str(tmp_path / "none.npy"): r"cannot be read \(No such file or directory\)",
         str(tmp_path / "rays.bin"): r"cannot be read|must be a .csv or an .npy file",
+        str(tmp_path / "empty.csv"): r"have the shape \[1, 0, 1\] and type float64: rows must be",
+        str(tmp_path / "npz.npy"): r"cannot be read \(it is an NPZ file by its content\): rows must be",
         str(tmp_path / "text.csv"): r"cannot be read \(could not convert",
         _npy(
             tmp_path / "pickled.npy", np.array([{}], dtype=object)
@@ -237,7 +243,8 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
         _npy(tmp_path / "zero.npy", np.zeros((2, 3))): r"hold a ray of length 0",
         _npy(tmp_path / "many.npy", np.ones((300_001, 3))): r"are 1 scans of 300,001 rays",
     }.items():
-        with pytest.raises(UavrlError, match=told):
+        with warnings.catch_warnings(), pytest.raises(UavrlError, match=told):
+            warnings.simplefilter("error")
             lidar_sensor({"directions": path})
 
 

@@ -2,6 +2,7 @@
 
 import logging
 import math
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -10,10 +11,22 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from uavrl.envs.limits import require_finite, whole
+from uavrl.envs.limits import require_finite, require_number, whole
 from uavrl.envs.mesh import cut_up, edge_lengths
 from uavrl.envs.rules import LARGEST_PLACE, Scene, Solid, WorldRules, require_positive
-from uavrl.envs.shape_file import Up, floor_of, looks_y_up, read_file, require_file, sampled, to_metres
+from uavrl.envs.shape_file import (
+    COLUMN,
+    Surface,
+    Up,
+    area_across,
+    columns_along,
+    floor_of,
+    other_up,
+    read_file,
+    require_file,
+    sampled,
+    to_metres,
+)
 from uavrl.envs.shape_reader import CLOUDS, MESHES
 from uavrl.envs.voxels import occupied, voxel_mesh
 from uavrl.errors import UavrlError
@@ -25,6 +38,8 @@ AROUND = 20.0  # m around the part that is flown in from which triangles are kep
 PART = 100  # m, sides of the part that is proposed of a file that is too large
 AS_GOOD = 0.95  # of the most ground that a part covers: such a part is as good
 LONGEST_EDGE = 10.0  # m, of the pieces of triangles that reach farther
+EMPTY = 1.0  # m, that a part may reach beyond the file before it is told
+LEAST_VOXEL, LARGEST_VOXEL = 0.02, 5.0  # m
 
 
 @dataclass
@@ -37,7 +52,8 @@ class FileWorld(WorldRules):
         file: The file.
         scale: Factor from the file's unit to metres.
         up: The file's axis that points up: x, y or z. None: y for GLB, as its standard says, and z for all others.
-        floor: Height of the floor in the file, in m. None: the median height of the lowest surfaces.
+        floor: Height of the floor in the file, in m. None: the median height of the lowest surfaces, or, in a solid
+            such as a block of terrain with a base, of the lowest surfaces that face up.
         size: Extent along x and y, in m, of the part to fly in; None: all.
         centre: Middle of that part in the file's x and y, in m, with z up; None: the middle of the file.
         **kwargs: As in :class:`uavrl.envs.rules.WorldRules`.
@@ -63,14 +79,20 @@ class FileWorld(WorldRules):
         super().__post_init__()
         if chosen is None:
             object.__setattr__(self, "size", None)
-        require_finite(self, ["scale", *(name for name in ("floor", "centre") if getattr(self, name) is not None)])
+        require_number(self, "scale")
         require_positive(self, "scale")
-        if self.centre is not None and len(self.centre) != 2:
-            raise UavrlError(f"centre takes x and y in metres, got {self.centre}.")
+        if self.floor is not None:
+            require_number(self, "floor")
+        if self.centre is not None:
+            if isinstance(self.centre, str) or not np.iterable(self.centre) or len(tuple(self.centre)) != 2:
+                raise UavrlError(f"centre takes x and y in metres, got {self.centre!r}.")
+            require_finite(self, ["centre"])
         if self.up not in (None, "x", "y", "z"):
             raise UavrlError(f"up must be x, y, z or None, got {self.up!r}.")
         if not self.file:
             raise UavrlError("A world from a file needs one: write env.world.file=FILE.")
+        if not isinstance(self.file, str | os.PathLike):
+            raise UavrlError(f"file takes the path of a file, got {self.file!r}: write env.world.file=FILE.")
         if len(self.seeds) != 1:
             raise UavrlError(f"A file is one place, and seeds are {list(self.seeds)}: give one, or leave them out.")
         object.__setattr__(self, "file", str(Path(self.file).expanduser().absolute()))
@@ -84,8 +106,8 @@ class FileWorld(WorldRules):
         """Of the one place."""
         return np.zeros(2)
 
-    def shape(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
-        """Corners ``[F, 3, 3]`` of the file's triangles in metres with z up, and points ``[P, 3]`` on its surface."""
+    def shape(self, path: Path) -> tuple[np.ndarray, Surface]:
+        """Corners ``[F, 3, 3]`` of the file's triangles in metres with z up, and points on its surface."""
         raise NotImplementedError(f"{type(self).__name__} reads no file.")
 
     def scene(self, number: int) -> Scene:
@@ -96,24 +118,26 @@ class FileWorld(WorldRules):
     def _scene(self) -> Scene:
         path = require_file(self.file, self.SUFFIXES)
         corners, surface = self.shape(path)
-        low, high = surface[:, :2].min(0), surface[:, :2].max(0)
+        flat = surface.points[:, :2]
+        low, high = flat.min(0), flat.max(0)
         size = (float(high[0] - low[0]), float(high[1] - low[1])) if self.size is None else self.size
         middle = (low + high) / 2 if self.centre is None else np.array(self.centre)
         if size[0] * size[1] * max(self.ceiling, 1.0) > LARGEST_PLACE:
             most = LARGEST_PLACE / max(self.ceiling, 1.0)
-            (x, y), (length, width) = best_covered(surface[:, :2], min(PART, math.floor(math.sqrt(most))))
+            (x, y), (length, width) = best_covered(flat, min(PART, math.floor(math.sqrt(most))))
             raise UavrlError(
                 f"{path} is {size[0]:,.0f} × {size[1]:,.0f} m, and at most {most:,.0f} m² are flown in under a ceiling "
                 f"of {self.ceiling:g} m: choose a part, for example one that it covers well, with "
                 f"env.world.size=[{length:.0f},{width:.0f}] and env.world.centre=[{x:.0f},{y:.0f}]."
             )
-        inside = (np.abs(surface[:, :2] - middle) <= np.array(size) / 2).all(1)
+        inside = (np.abs(flat - middle) <= np.array(size) / 2).all(1)
         if not inside.any():
             raise UavrlError(
                 f"{path} has nothing in {size[0]:g} × {size[1]:g} m around {middle.round(1).tolist()}: it reaches from "
                 f"{low.round(1).tolist()} to {high.round(1).tolist()}; choose another env.world.centre."
             )
-        floor = floor_of(surface[inside]) if self.floor is None else self.floor
+        _tell_empty(path, corners, middle, size)
+        floor, lowest = floor_of(surface.only(inside)) if self.floor is None else (self.floor, self.floor)
         corners = _within(corners - [*middle, floor], np.array(size) / 2 + AROUND)
         if len(corners) > MOST_TRIANGLES:
             raise UavrlError(
@@ -122,7 +146,7 @@ class FileWorld(WorldRules):
             )
         log.info(
             "%s: %s triangles, %.1f × %.1f m around [%.1f,%.1f]; the file reaches from [%.1f,%.1f] to [%.1f,%.1f], and "
-            "altitude 0 is at %.2f m of it.",
+            "altitude 0 is at %.2f m of it.%s",
             path.name,
             f"{len(corners):,}",
             *size,
@@ -130,8 +154,19 @@ class FileWorld(WorldRules):
             *low,
             *high,
             floor,
+            f" It is a solid: its top is the ground; write env.world.floor={lowest:.2f} if that is wrong."
+            if floor > lowest
+            else "",
         )
         return Scene([Solid(self.KIND, _mesh(corners))], size)
+
+    def _require_up(self, path: Path, seen: np.ndarray, than: float) -> None:
+        """Refuses a file of which more is seen along another axis than along the one that is taken as up."""
+        if self.up is None and (other := other_up(seen, than, self.upwards)):
+            raise UavrlError(
+                f"{path} has most of its surface upright, as if another axis pointed up than {self.upwards}: write "
+                f"env.world.up={other}, or env.world.up={self.upwards} if it is right."
+            )
 
     def without_tasks(self, seed: int, scene: Scene, free: float) -> str:
         """Tells what there is at the flight level."""
@@ -156,7 +191,7 @@ class MeshConfig(FileWorld):
 
     SUFFIXES = MESHES
 
-    def shape(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    def shape(self, path: Path) -> tuple[np.ndarray, Surface]:
         """The mesh's triangles."""
         points, triangles = read_file(path)
         if not len(triangles):
@@ -169,12 +204,8 @@ class MeshConfig(FileWorld):
             told = f"{bad:,} of {len(used):,} triangles have corners that are no finite numbers"
             raise UavrlError(f"{path}: {told}: repair it, or export it again.")
         used = to_metres(used.reshape(-1, 3), path, self.scale, self.upwards).reshape(-1, 3, 3)
-        if self.up is None and looks_y_up(used):
-            other = "z" if self.upwards == "y" else "y"
-            raise UavrlError(
-                f"{path} has most of its surface upright, as if another axis pointed up than {self.upwards}: write "
-                f"env.world.up={other}, or env.world.up={self.upwards} if it is right."
-            )
+        seen = area_across(used)
+        self._require_up(path, seen, np.sort(seen)[1])
         return used, sampled(used)
 
 
@@ -190,7 +221,7 @@ class CloudConfig(FileWorld):
         **kwargs: As in :class:`FileWorld`.
     """
 
-    voxel: Annotated[float, Field(ge=0.02, le=5)] = 0.2
+    voxel: Annotated[float, Field(ge=LEAST_VOXEL, le=LARGEST_VOXEL)] = 0.2
     min_points: int = 2
 
     SUFFIXES = CLOUDS
@@ -200,12 +231,11 @@ class CloudConfig(FileWorld):
     def __post_init__(self) -> None:
         """Refuses settings that make no voxels."""
         super().__post_init__()
-        require_finite(self, ["voxel"])
-        require_positive(self, "voxel")
+        require_number(self, "voxel", LEAST_VOXEL, LARGEST_VOXEL)
         object.__setattr__(self, "min_points", whole("min_points", self.min_points, 1))
 
-    def shape(self, path: Path) -> tuple[np.ndarray, np.ndarray]:
-        """The faces of solid voxels."""
+    def shape(self, path: Path) -> tuple[np.ndarray, Surface]:
+        """The faces of solid voxels, and the middles of their tops."""
         points, triangles = read_file(path)
         if len(triangles):
             raise UavrlError(f"{path} has {len(triangles):,} triangles, and a point cloud has none: use env=mesh.")
@@ -213,13 +243,15 @@ class CloudConfig(FileWorld):
         if not len(points):
             raise UavrlError(f"{path} has no point whose numbers are finite: name another file.")
         points = to_metres(points, path, self.scale, self.upwards)
+        seen = columns_along(occupied(points, COLUMN, 1))
+        self._require_up(path, seen, seen[2])
         solid = occupied(points, self.voxel, self.min_points)
         if not len(solid):
             raise UavrlError(
                 f"{path} has {len(points):,} points, and none of its voxels of {self.voxel} m holds "
                 f"{self.min_points}: enlarge env.world.voxel, or lower env.world.min_points."
             )
-        return voxel_mesh(solid, self.voxel), (solid + 0.5) * self.voxel
+        return voxel_mesh(solid, self.voxel), Surface((solid + np.array((0.5, 0.5, 1.0))) * self.voxel)
 
 
 def best_covered(points: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
@@ -251,6 +283,22 @@ def best_covered(points: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarra
     middles = low + cell * (good + wide / 2)
     nearest = ((middles - (low + high) / 2) ** 2).sum(1).argmin()
     return middles[nearest], np.minimum(cell * wide, side)
+
+
+def _tell_empty(path: Path, corners: np.ndarray, middle: np.ndarray, size: tuple[float, float]) -> None:
+    """Warns of a part that reaches beyond the triangles ``[F, 3, 3]`` of a file."""
+    low, high, half = corners.min((0, 1))[:2], corners.max((0, 1))[:2], np.array(size) / 2
+    beyond = np.maximum(low - (middle - half), 0) + np.maximum(middle + half - high, 0)
+    if beyond.max() > EMPTY:
+        log.warning(
+            "%s reaches from [%.1f,%.1f] to [%.1f,%.1f], and env.world.size=[%g,%g] around [%.1f,%.1f] is larger: the "
+            "rest is empty space without ground.",
+            path,
+            *low,
+            *high,
+            *size,
+            *middle,
+        )
 
 
 def _within(corners: np.ndarray, half: np.ndarray) -> np.ndarray:

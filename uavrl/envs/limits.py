@@ -113,5 +113,15 @@ def require_finite(config: object, names: Iterable[str]) -> None:
         object.__setattr__(config, name, tuple(map(_plain, value)) if several else _plain(value))
 
 
+def require_number(config: object, name: str, least: float = -math.inf, most: float = math.inf) -> None:
+    """Refuse a configuration whose attribute is anything but one finite number from ``least`` to ``most``."""
+    value = getattr(config, name)
+    is_number = isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    if not is_number or not least <= float(value) <= most:
+        within = "" if math.isinf(most) else f" from {least:g} to {most:g}"
+        raise UavrlError(f"{name} must be a finite number{within}, got {value!r}.")
+    object.__setattr__(config, name, _plain(value))
+
+
 def _plain(number: Any) -> Any:
     return number.item() if isinstance(number, np.generic) else number

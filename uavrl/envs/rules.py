@@ -112,25 +112,25 @@ class WorldRules:
                 raise UavrlError(f"{name} takes a list of numbers, got {getattr(self, name)!r}.")
             object.__setattr__(self, name, tuple(getattr(self, name)))
         if not self.seeds:
-            raise ValueError("seeds takes one whole number per valley, got none; pass (0,) for one.")
+            raise UavrlError("seeds takes one whole number per valley, got none; pass (0,) for one.")
         object.__setattr__(self, "seeds", tuple(whole("seeds", seed) for seed in self.seeds))
         own = [each.name for each in fields(WorldRules) if each.name != "seeds"]
         require_finite(self, own)
         if len(self.size) != 2:
-            raise ValueError(f"size takes two lengths in metres, got {self.size}; pass (40.0, 30.0) for 1200 m².")
+            raise UavrlError(f"size takes two lengths in metres, got {self.size}; pass (40.0, 30.0) for 1200 m².")
         require_positive(
             self, "flight_level", "ceiling", "goal_radius", "uav_radius", "plane_wingspan", "size", "plane_speed"
         )
         object.__setattr__(self, "planes", whole("planes", self.planes))
         for name in ("min_goal_distance", "min_clearance", "plane_keep_out"):
             if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must not be negative, got {getattr(self, name)}; pass 0 to go without.")
+                raise UavrlError(f"{name} must not be negative, got {getattr(self, name)}; pass 0 to go without.")
         if len(self.plane_speed) != 2 or self.plane_speed[0] > self.plane_speed[1]:
-            raise ValueError(
+            raise UavrlError(
                 f"plane_speed takes the least and the greatest speed, got {self.plane_speed}; pass (2.5, 4.0)."
             )
         if self.flight_level >= self.ceiling:
-            raise ValueError(
+            raise UavrlError(
                 f"flight_level must be below the ceiling of {self.ceiling} m, got {self.flight_level} m; raise ceiling."
             )
         self._check_size()
@@ -195,4 +195,4 @@ def require_positive(config: object, *names: str) -> None:
     """Refuses lengths and speeds that are not above 0."""
     for name in names:
         if not np.all(np.asarray(getattr(config, name)) > 0):
-            raise ValueError(f"{name} must be above 0, got {getattr(config, name)}; give it in metres (or m/s).")
+            raise UavrlError(f"{name} must be above 0, got {getattr(config, name)}; give it in metres (or m/s).")

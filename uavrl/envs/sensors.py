@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
@@ -371,8 +372,13 @@ def _read(name: str, path: Path) -> np.ndarray:
             raise UavrlError(f"{told} have more than {_LARGEST_FILE:,} bytes, which no sensor needs: give fewer rays.")
         if path.suffix == ".npy":
             found = np.load(path, allow_pickle=False)
+            if not isinstance(found, np.ndarray):  # by its content an NPZ file, which stays open
+                found.close()
+                raise ValueError("it is an NPZ file by its content")
         elif path.suffix in (".csv", ".txt"):
-            found = np.loadtxt(path, delimiter=",", ndmin=2)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is refused below
+                found = np.loadtxt(path, delimiter=",", ndmin=2)
         else:
             raise UavrlError(f"{told} must be a .csv or an .npy file.")
     except (OSError, ValueError, EOFError) as error:

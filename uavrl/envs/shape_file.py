@@ -1,12 +1,13 @@
 """A file of a user's: found, read safely, brought to metres with z up, or refused in a sentence."""
 
+import math
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,26 @@ MOST_MEMORY = 8 * 2**30  # that reading may take
 PATIENCE = 600.0  # s, for reading
 SETTLED = 2.0  # s, since the last change of a file that nobody writes any more
 LARGEST_EXTENT, LEAST_EXTENT = 5000.0, 3.0  # m
+TURNED: dict[Up, tuple[int, int, int]] = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}  # the file's axes, z up
+COLUMN = 1.0  # m, side of the columns in which surfaces lie above each other
+FACES = 0.1  # least z of the unit normal of a surface that faces up: a wall does not
+SAMPLES = 16  # of a surface in a column, so that hardly any column misses one of its surfaces
+
+
+class Surface(NamedTuple):
+    """Points on a surface, in metres with z up.
+
+    Attributes:
+        points: ``[P, 3]``.
+        facing: z of the unit normal ``[P]`` of each; None where the file does not tell.
+    """
+
+    points: np.ndarray
+    facing: np.ndarray | None = None
+
+    def only(self, these: np.ndarray) -> "Surface":
+        """Those points that a mask ``bool [P]`` chooses."""
+        return Surface(self.points[these], None if self.facing is None else self.facing[these])
 
 
 def require_file(file: str, suffixes: tuple[str, ...], key: str = "env.world.file") -> Path:
@@ -88,6 +109,8 @@ def _refused(path: Path, reason: str) -> UavrlError:
     kind, _, text = reason.partition(" ")
     if kind == "missing":
         return MissingExtra(text.split(".")[0], "sim")
+    if kind == "unread":
+        return UavrlError(f"{path} {text}.")
     if kind == "memory":
         return UavrlError(
             f"{path} has {path.stat().st_size / 1e6:.1f} MB and unpacks to more than {MOST_MEMORY / 2**30:.0f} GB: "
@@ -101,41 +124,104 @@ def _refused(path: Path, reason: str) -> UavrlError:
 
 def to_metres(points: np.ndarray, path: Path, scale: float, up: Up) -> np.ndarray:
     """The points ``[P, 3]`` in metres with z up; refuses sizes that no place has."""
-    turned = {"x": points[:, [1, 2, 0]], "y": points[:, [2, 0, 1]], "z": points}[up] * scale
+    turned = points[:, TURNED[up]] * scale
     extent = np.ptp(turned, axis=0)
     told = " × ".join(f"{length:,.0f}" if length >= 10 else f"{length:.2g}" for length in extent)
+    if not extent.max() > 0:
+        raise UavrlError(f"{path} has no extent: all of its points lie at one place. Name another file.")
     if extent.max() > LARGEST_EXTENT:
+        most = np.ptp(np.percentile(turned, (1, 99), axis=0), axis=0)
+        other = ", or remove points that lie far outside" if most.max() <= LARGEST_EXTENT else ""
         raise UavrlError(
-            f"{path} is {told} m: if its unit is the millimetre, write env.world.scale={scale * 1e-3:g}; at most "
-            f"{LARGEST_EXTENT:,.0f} m are read."
+            f"{path} is {told} m: if its unit is the millimetre, write env.world.scale={scale * 1e-3:g}{other}; at "
+            f"most {LARGEST_EXTENT:,.0f} m are read."
         )
     if extent[:2].max() < LEAST_EXTENT:
         raise UavrlError(f"{path} is only {told} m: give the factor to metres by env.world.scale.")
     return turned
 
 
-def looks_y_up(corners: np.ndarray) -> bool:
-    """Whether most of the surface of triangles ``[F, 3, 3]`` lies across y: the ground of a file whose y is up."""
-    across = np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])).sum(0)
-    return bool(across[1] > 2 * max(across[0], across[2]))
+def area_across(corners: np.ndarray) -> np.ndarray:
+    """The area ``[3]`` of triangles ``[F, 3, 3]`` that is seen along each axis."""
+    return np.asarray(np.abs(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])).sum(0) / 2)
 
 
-def floor_of(points: np.ndarray, side: float = 1.0) -> float:
-    """The height of the floor under points of surfaces ``[P, 3]``: the median, over columns, of the lowest in each."""
-    column = np.floor(points[:, :2] / side).astype(np.int64)
+def columns_along(cells: np.ndarray) -> np.ndarray:
+    """The number ``[3]`` of columns along each axis that hold any of the cells ``int [V, 3]``.
+
+    Examples:
+        >>> columns_along(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]])).tolist()
+        [1, 3, 3]
+    """
+    return np.array([len(np.unique(np.delete(cells, axis, axis=1), axis=0)) for axis in range(3)])
+
+
+def other_up(seen: np.ndarray, than: float, up: Up) -> Up | None:
+    """The file's axis that seems to point up instead of ``up``, if any.
+
+    Args:
+        seen: How much is seen along each axis ``[3]``, the third of which is taken as up: most along the right one.
+        than: More than twice this must be seen along another axis.
+        up: The file's axis that is taken as up.
+
+    Examples:
+        The ground of a file whose z is up, which is read as if its y was:
+
+        >>> other_up(np.array([1200.0, 10.0, 20.0]), 20.0, "y")
+        'z'
+    """
+    best = int(seen.argmax())
+    names: tuple[Up, ...] = ("x", "y", "z")
+    return names[TURNED[up][best]] if best < 2 and seen[best] > 2 * than else None
+
+
+def floor_of(surface: Surface) -> tuple[float, float]:
+    """The heights of the floor and of the lowest surfaces; they differ in a solid, the ground of which is its top.
+
+    Each is the median over columns. Whether a surface faces up tells a solid block of terrain, which has its base below
+    the ground, from a room, which has its floor below the ceiling.
+    """
+    points, facing = surface
+    lowest = _median_lowest(points)
+    if facing is None or not _is_solid(points, facing):
+        return lowest, lowest
+    return _median_lowest(points[facing > FACES]), lowest
+
+
+def _median_lowest(points: np.ndarray) -> float:
+    """The median, over columns, of the lowest of the points ``[P, 3]`` in each."""
+    column = np.floor(points[:, :2] / COLUMN).astype(np.int64)
     _, which = np.unique(column, axis=0, return_inverse=True)
     lowest = np.full(which.max() + 1, np.inf)
     np.minimum.at(lowest, which.ravel(), points[:, 2])
     return float(np.median(lowest))
 
 
-def sampled(corners: np.ndarray, count: int = 200_000) -> np.ndarray:
-    """Points ``[count, 3]`` spread evenly over the area of triangles ``[F, 3, 3]``, always the same ones."""
+def _is_solid(points: np.ndarray, facing: np.ndarray) -> bool:
+    """Whether in most columns the lowest surface faces down and another one above it faces up.
+
+    Empty columns count, too: pillars alone are no ground.
+    """
+    flat, height = points[:, :2] - points[:, :2].min(0), points[:, 2]
+    side = max(COLUMN, math.sqrt(SAMPLES * float(flat.max(0).prod()) / len(points)))
+    cell = np.floor(flat / side).astype(np.int64)
+    shape = tuple(cell.max(0) + 1)
+    which, up = np.ravel_multi_index(tuple(cell.T), shape), facing > FACES
+    lowest, highest, is_under = np.full(math.prod(shape), np.inf), np.full(math.prod(shape), -np.inf), np.zeros(shape)
+    np.minimum.at(lowest, which, height)
+    np.maximum.at(highest, which[up], height[up])
+    is_under.ravel()[which[(height == lowest[which]) & (facing < -FACES)]] = 1
+    return bool((is_under.ravel() * (highest > lowest)).mean() > 0.5)
+
+
+def sampled(corners: np.ndarray, count: int = 200_000) -> Surface:
+    """``count`` points spread evenly over the area of triangles ``[F, 3, 3]``, always the same ones."""
     rng = np.random.default_rng(0)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normal, axis=1)
     if not area.sum() > 0:
-        return corners.reshape(-1, 3)
-    chosen = corners[rng.choice(len(corners), count, p=area / area.sum())]
+        return Surface(corners.reshape(-1, 3))
+    which = rng.choice(len(corners), count, p=area / area.sum())
     share = np.sqrt(rng.random(count)), rng.random(count)
     weights = np.stack([1 - share[0], share[0] * (1 - share[1]), share[0] * share[1]], -1)
-    return np.einsum("ij,ijk->ik", weights, chosen)
+    return Surface(np.einsum("ij,ijk->ik", weights, corners[which]), normal[which, 2] / area[which])

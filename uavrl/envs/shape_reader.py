@@ -7,16 +7,26 @@ left out, nothing is unpickled, and a file that unpacks to more than the limit e
 the folder, or ``reason``.
 """
 
+import json
+import mmap
+import re
+import struct
 import sys
 import zipfile
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 MESHES = (".stl", ".obj", ".ply", ".glb")
 CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".npz")
+COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization")
+_RELATIVE = re.compile(rb"[\r\n][ \t]*f(?=[ \t])[^\r\n#]*[ \t/]-[0-9]")  # a face of an OBJ
+
+
+class Unread(ValueError):
+    """A whole file that uses something that is not read: what, and what to do, as the rest of a sentence."""
 
 
 def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +39,12 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
             from pypcd4 import PointCloud
 
             cloud = PointCloud.from_fileobj(file)
+            held, told = len(cloud.pc_data), cloud.metadata.points
+            if held < told:
+                raise ValueError(f"it holds {held:,} of the {told:,} points that its header tells")
             return _points_of(cloud.numpy(("x", "y", "z"))), np.zeros((0, 3), np.int64)
+        _require_absolute(file, suffix)
+        _require_uncompressed(file, suffix)
         import trimesh
 
         if suffix == ".xyz":
@@ -44,6 +59,32 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
         return _points_of(np.concatenate([np.zeros((0, 3)), *found])), np.zeros((0, 3), np.int64)
     mesh = scene.to_mesh()
     return _points_of(mesh.vertices), np.asarray(mesh.faces, np.int64)
+
+
+def _require_absolute(file: BinaryIO, suffix: str) -> None:
+    """Refuses an OBJ whose faces count corners backwards: trimesh takes other corners then."""
+    if suffix != ".obj":
+        return
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        if _RELATIVE.search(content):
+            raise Unread("has faces with relative (negative) indices, which are not read: export it with absolute ones")
+
+
+def _require_uncompressed(file: BinaryIO, suffix: str) -> None:
+    """Refuses a GLB whose corners are compressed: trimesh takes the bytes as they are."""
+    if suffix != ".glb":
+        return
+    start = file.read(20)
+    try:
+        magic, _, _, length, kind = struct.unpack("<4sIII4s", start)
+        about = json.loads(file.read(length)) if (magic, kind) == (b"glTF", b"JSON") else {}
+        needed = about.get("extensionsRequired", ())
+        names = [name for name in COMPRESSED if name in needed]
+    except (struct.error, ValueError, TypeError, AttributeError):
+        names = []  # no GLB, which trimesh tells
+    file.seek(0)
+    if names:
+        raise Unread(f"is compressed with {' and '.join(names)}, which is not read: export it without")
 
 
 def _array(path: Path, most: int) -> np.ndarray:
@@ -86,6 +127,8 @@ def main(path: Path, folder: Path, most: int) -> int:
         (folder / "reason").write_text("memory", encoding="utf-8")
     except ImportError as error:
         (folder / "reason").write_text(f"missing {error.name}", encoding="utf-8")
+    except Unread as error:
+        (folder / "reason").write_text(f"unread {error}", encoding="utf-8")
     except Exception as error:  # whatever a reader raises for a damaged file
         text = " ".join(str(error).split()) or type(error).__name__
         (folder / "reason").write_text(f"damaged {text[:200]}", encoding="utf-8")
