@@ -19,7 +19,8 @@ from uavrl.models import Actor, Critic
 from uavrl.runs.episodes import read_episodes
 from uavrl.training.build import build_trainer
 from uavrl.training.cloning import Cloning
-from uavrl.training.run import create_run, seed_everything
+from uavrl.training.run import create_run, seed_everything, train
+from uavrl.training.trainer import EpisodeTrainer
 
 SEEN = ["perception=range_image", "perception.last_action=true", "buffer.mirror=true", "demonstrator=vfh"]
 CLONED = [
@@ -120,20 +121,19 @@ def test_a_run_clones_first_and_then_learns_from_rewards(tmp_path: Path) -> None
     assert losses[-1] < losses[0]
 
 
-@pytest.mark.parametrize(("given", "run_steps", "lasts"), [(70, 200, 70), (None, 200, 200), (None, None, 30_000)])
-def test_it_lasts_for_all_of_the_run_unless_told_otherwise(
-    given: int | None, run_steps: int | None, lasts: int
+def test_a_run_that_goes_on_after_its_cloning_phase_warms_its_critics_up_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert Cloning(make_loss(), 2.0, steps=given, run_steps=run_steps).steps == lasts
-
-
-def test_the_actors_learning_rate_falls_in_what_cloning_leaves_of_the_run(tmp_path: Path) -> None:
-    """Of 300 steps it takes 100; TD3 makes half an update in each of the others, and the rate falls over their end."""
-    words = ["trainer.steps=300", "trainer.updates_per_step=0.5", "algo.actor_lr_decay=[0.5,1.0]"]
-    config = small_config(tmp_path / "run", *CLONED, *words)
-    trainer = build_trainer(validate(config), config, create_run(config))
-    assert trainer.stepper.actor_lr_decay == (50.0, 100.0)
-    trainer.collector.shutdown()
+    """It ended with the phase, and then was given more steps."""
+    found: list[int] = []
+    monkeypatch.setattr(EpisodeTrainer, "warm_up", lambda _, updates: found.append(updates))
+    config = small_config(tmp_path / "run", *CLONED, "trainer.steps=100")
+    run_dir = create_run(config)
+    train(config, run_dir)
+    assert not found
+    config.trainer.steps = 140
+    train(config, run_dir, resume=True)
+    assert found == [20]
 
 
 @pytest.mark.parametrize(("steps", "warmed"), [(100, []), (140, [(20, 0)])])

@@ -220,34 +220,31 @@ def test_the_actors_learning_rate_falls_between_two_numbers_of_updates() -> None
     assert resumed.actor.optimizer.param_groups[0]["lr"] == pytest.approx(5e-4)
 
 
-def test_the_actors_learning_rate_falls_over_shares_of_a_run_of_any_length() -> None:
-    """A run of 8 updates falls from its fourth to its eighth, as one of 4 from its second to its fourth."""
-    found = {}
-    for expected in (4, 8):
-        stepper = ActorCriticStepper(
-            make_loss("ddpg"), actor_lr=1e-3, actor_lr_decay=(0.5, 1.0), policy_delay=1, expected=expected
-        )
-        rates = []
-        for _ in range(expected):
-            stepper.step(None, batch())
-            rates.append(stepper.actor.optimizer.param_groups[0]["lr"])
-        found[expected] = rates
-    assert found[8] == pytest.approx([1e-3, 1e-3, 1e-3, 1e-3, 7.5e-4, 5e-4, 2.5e-4, 2e-5])
-    assert found[4] == pytest.approx([1e-3, 1e-3, 5e-4, 2e-5])
-
-
-def test_shares_of_a_run_of_unknown_length_are_refused() -> None:
-    with pytest.raises(UavrlError, match=r"give trainer\.steps, or two numbers of updates"):
+def test_shares_of_a_run_are_no_numbers_of_updates() -> None:
+    with pytest.raises(UavrlError, match=r"two numbers of updates here, got the shares \[0\.5, 1\.0\]"):
         ActorCriticStepper(make_loss("ddpg"), actor_lr_decay=(0.5, 1.0))
+
+
+def test_critics_that_warm_up_take_their_targets_and_memories_along() -> None:
+    loss = make_loss("td3")
+    stepper, moved = ActorCriticStepper(loss), []
+    loss.move_memories = moved.append  # type: ignore[method-assign, assignment]
+    before = {key: value.clone() for key, value in parameters(loss).items()}
+    stepper.warm_up(batch())
+    after = parameters(loss)
+    changed = {key.split(".")[0] for key, value in before.items() if not torch.equal(value, after[key])}
+    assert changed == {"qvalue_network_params", "target_qvalue_network_params"}
+    assert (moved, stepper.updates) == ([stepper.tau], 0)
 
 
 def test_a_smaller_learning_rate_is_a_smaller_step() -> None:
     """Adam's first step is as long as its learning rate: at 2 % of it every weight that moves, moves by 2 %."""
     moves = []
-    for decay in (None, (0.0, 1.0)):
+    for decay in (None, (0, 1.5)):
         loss = make_loss("ddpg")
         before = parameters(loss)
-        stepper = ActorCriticStepper(loss, actor_lr=1e-2, actor_lr_decay=decay, policy_delay=1, expected=1)
+        stepper = ActorCriticStepper(loss, actor_lr=1e-2, actor_lr_decay=decay, policy_delay=1)
+        stepper.updates = 0 if decay is None else 1
         stepper.step(None, batch())
         moves.append({key: parameters(loss)[key] - value for key, value in before.items() if key.startswith("actor")})
     for key, whole in moves[0].items():

@@ -20,7 +20,7 @@ CONTEXT: Mapping[str, tuple[str, ...]] = {
     "lifeguard": _PENALTY,
     "actor_penalty": _PENALTY,
     "smoothness": _PENALTY,
-    "cloning": ("loss", "limit", "run_steps", "execution"),
+    "cloning": ("loss", "limit", "execution"),
     "validation": ("new_flier", "policy", "seed"),
     "buffer": ("frames", "seed", "transform"),
     "backward_reward": ("stacked", "observations", "perception", "kept"),

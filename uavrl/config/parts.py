@@ -53,7 +53,7 @@ LOOP: Mapping[str, Mapping[str, Any]] = {
     "logger": {"interval": Count},
 }
 STEPPER = "uavrl.training.update.ActorCriticStepper"  # takes its part of algo
-TO_STEPPER = ("loss", "expected", "execution")  # what the run hands to it
+TO_STEPPER = ("loss", "execution")  # what the run hands to it
 
 
 class MissingValue(UavrlError, AttributeError):

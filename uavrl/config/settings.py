@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from uavrl.config.parts import Part
+from uavrl.config.schedules import work_out
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.ranges import Count, Folder, Rule, Seed, Text
 from uavrl_onboard.sentences import require
@@ -90,6 +91,7 @@ class TrainConfig:
         require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
         require(self.resume is None or bool(self.resume.strip()), "resume", "the folder of a run", self.resume)
         guard_settings(self.guards)
+        work_out(self)
 
 
 @dataclass

@@ -83,14 +83,14 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
         source = with_matmul_backend(new_env)
     # A window is a batch in a batch, of which a recording takes no account.
     execution = "eager" if loss.learns_from_sequences else chosen_execution(settings.trainer.execution)
-    cloning = make_cloning(settings, loss, sizes, execution)
+    taken = options({**settings.algo, TARGET: STEPPER})
     logger = make_logger(
         settings.logger, run_dir, Path(settings.run_dir).name, settings.choices.get("logger", ""), settings.packages
     )
     return EpisodeTrainer(
         loss=loss,
-        stepper=make_stepper(settings, loss, cloning, execution),
-        cloning=cloning,
+        stepper=ActorCriticStepper(loss, **taken, execution=execution),
+        cloning=make_cloning(settings, loss, sizes, execution),
         backward_reward=backward_reward,
         replay=EpisodeReplay(
             buffer, settings.algo.batch_size, settings.trainer.updates_per_step, make_windows(settings, buffer, loss)
@@ -189,22 +189,9 @@ def make_cloning(
     part = settings.cloning
     demonstrated = settings.demonstrated or part._target_ is None
     require(demonstrated, "demonstrator", "a scripted controller, such as vfh, which cloning=dagger clones", None)
-    handed = {"loss": loss, "limit": sizes.limit, "run_steps": settings.trainer.steps, "execution": execution}
-    return build(part, Cloning, packages=settings.packages, key="cloning", **handed)
-
-
-def make_stepper(
-    settings: TrainConfig, loss: ActorCriticLoss, cloning: Cloning | None, execution: Execution
-) -> ActorCriticStepper:
-    """What updates the networks; of a run with a number of steps it is known how many updates it makes."""
-    steps = settings.trainer.steps
-    learned = None if steps is None else max(steps - (0 if cloning is None else cloning.steps), 0)
-    expected = None if learned is None else int(learned * settings.trainer.updates_per_step)
-    taken = options({**settings.algo, TARGET: STEPPER})
-    try:
-        return ActorCriticStepper(loss, **taken, expected=expected, execution=execution)
-    except UavrlError as error:
-        raise UavrlError(below("algo", str(error), arguments(ActorCriticStepper))) from error
+    return build(
+        part, Cloning, packages=settings.packages, key="cloning", loss=loss, limit=sizes.limit, execution=execution
+    )
 
 
 def make_validation(

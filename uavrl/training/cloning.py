@@ -9,13 +9,13 @@ from tensordict import TensorDictBase, TensorDictParams
 from torch import Tensor
 
 from uavrl.buffers.sequences import WEIGHT
+from uavrl.config.schedules import CLONING_STEPS
 from uavrl.losses import ActorCriticLoss
 from uavrl.losses.imitation import Imitation, action_distance, decayed
 from uavrl.training.compiled import Execution, GradientStep
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION
 from uavrl_onboard.ranges import Count, Positive
 
-DEFAULT_STEPS = 30_000
 FLOWN_STATES = ("observation", DEMONSTRATOR_ACTION)
 
 
@@ -32,13 +32,12 @@ class Cloning:
     Args:
         loss: gives the actor that is trained; critics, penalties and targets take no part.
         limit: the largest action.
-        steps: environment steps that the phase lasts; None: those of the run, or 30,000 where it has no such number.
+        steps: environment steps that the phase lasts; None: 30,000 (a run's configuration makes it all of the run).
         updates_per_step: of Adam, for each environment step.
         batch_size: states in a batch.
         lr: Adam's learning rate at first.
         final_lr: what it has fallen to at the end, geometrically.
         critic_updates: of the critics alone, on all states flown so far, before the algorithm takes over.
-        run_steps: environment steps after which the run ends.
         execution: as in :class:`~uavrl.training.compiled.LossGradients`. Nothing is compiled, which would take a good
             part of so short a phase: large batches spend their time in matrix products.
 
@@ -68,11 +67,10 @@ class Cloning:
         lr: Positive = 1e-3,
         final_lr: Positive = 1e-4,
         critic_updates: Annotated[int, Field(ge=0, le=10**6)] = 2000,
-        run_steps: int | None = None,
         execution: Execution = "captured",
     ) -> None:
         self.loss, self.limit = loss, limit
-        self.steps = steps or run_steps or DEFAULT_STEPS
+        self.steps = steps or CLONING_STEPS
         self.updates_per_step, self.batch_size = updates_per_step, batch_size
         self.lr, self.final_lr, self.critic_updates = lr, final_lr, critic_updates
         recorded: Execution = "eager" if execution == "eager" else "captured"

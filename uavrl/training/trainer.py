@@ -158,11 +158,11 @@ class EpisodeTrainer:
         if (loss := cloning.learn(batches, self.collected_frames)) is not None:
             self._require_finite(loss, "The distance to the demonstrator", cloning.updates)
             self.log.add({"loss_cloning": loss}, self.collected_frames)
-        if cloning.finished and not self.finished and cloning.critic_updates:
-            self.warm_up(cloning.critic_updates)
 
     def warm_up(self, updates: int) -> None:
         """Lets the critics learn what the cloned policy is worth, before the actor learns from them."""
+        if not updates:
+            return
         log.info("The critics learn from what was flown so far (%s), before the actor does.", f"{updates:,} updates")
         losses = [self.stepper.warm_up(batch) for batch in self.replay.batches(updates)]
         self._require_finite(torch.stack(losses).mean().item(), "The critic's loss", updates)
@@ -170,6 +170,8 @@ class EpisodeTrainer:
 
     def learn(self, updates: int, *, actor: bool) -> None:
         """Updates critics and models, and every so many times the actor and the targets, on random batches."""
+        if self.cloning is not None and updates and not self.stepper.updates:
+            self.warm_up(self.cloning.critic_updates)
         self.stepper.actor_learns = actor
         losses: TensorDictBase | None = None
         for done, batch in enumerate(self.replay.batches(updates)):

@@ -1,6 +1,5 @@
 """One optimisation step of an actor–critic."""
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.trainers import OptimizationStepper, Trainer
 
+from uavrl.config.schedules import are_shares, is_interval
 from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.losses.actor_penalty import Sample
@@ -19,33 +19,9 @@ from uavrl_onboard.ranges import Positive, Rule, Share
 
 Interval = Annotated[
     Sequence[float],
-    Rule(
-        "two shares of the run, or two numbers of updates above 1, the first below the second",
-        lambda ends: len(ends) == 2 and 0 <= ends[0] < ends[1] < math.inf,
-    ),
+    Rule("two shares of the run, up to 1, or two whole numbers of updates, the first below the second", is_interval),
 ]
 LAST_SHARE = 0.02
-
-
-def in_updates(interval: Sequence[float] | None, updates: int | None) -> Sequence[float] | None:
-    """Two numbers of updates, of a run that makes ``updates`` in all; shares of the run end at 1 or before.
-
-    Raises:
-        UavrlError: for shares of a run of which it is not known how many updates it makes.
-
-    Examples:
-        >>> in_updates((0.5, 1.0), 100_000), in_updates((50, 100), None)
-        ((50000.0, 100000.0), (50, 100))
-    """
-    if interval is None or interval[1] > 1:
-        return interval
-    if updates is None:
-        raise UavrlError(
-            f"actor_lr_decay={[*interval]} are shares of a run that ends after so many episodes, and it is not known "
-            "how many updates it makes: give trainer.steps, or two numbers of updates."
-        )
-    start, end = (share * updates for share in interval)
-    return (start, end) if end > start else None
 
 
 def decayed(lr: float, decay: Sequence[float] | None, updates: int) -> float:
@@ -67,13 +43,12 @@ class ActorCriticStepper(OptimizationStepper):
     Args:
         loss: gives ``value_loss(batch)`` and ``actor_loss(batch)``; its ``penalties`` say what else is trained.
         actor_lr: Adam's step for the actor.
-        actor_lr_decay: between which it falls linearly to 2 % of that: two shares of ``expected`` updates, such as
-            ``(0.5, 1.0)``, or two numbers of updates, of which the second is above 1; None: it stays.
+        actor_lr_decay: updates between which it falls linearly to 2 % of that; None: it stays. Shares of a run, such as
+            ``[0.5, 1.0]``, are numbers of updates in its configuration (:func:`uavrl.config.schedules.in_updates`).
         critic_lr: Adam's step for the critics.
         temperature_lr: Adam's step for SAC's temperature.
         policy_delay: critic steps for each step of actor and targets.
         tau: share of the online networks in each target update (Eq. 2.9), if the loss has targets.
-        expected: how many updates the run makes; None if that is not known.
         execution: as in :class:`~uavrl.training.compiled.LossGradients`.
     """
 
@@ -89,13 +64,14 @@ class ActorCriticStepper(OptimizationStepper):
         temperature_lr: Positive = 3e-4,
         policy_delay: Annotated[int, Field(ge=1, le=10**6)] = 2,
         tau: Share = 0.005,
-        expected: int | None = None,
         execution: Execution = "captured",
     ) -> None:
         super().__init__()
         self.loss = loss
         self.policy_delay = policy_delay
-        self.actor_lr, self.actor_lr_decay = actor_lr, in_updates(actor_lr_decay, expected)
+        if actor_lr_decay is not None and are_shares(actor_lr_decay):
+            raise UavrlError(f"actor_lr_decay takes two numbers of updates here, got the shares {[*actor_lr_decay]}.")
+        self.actor_lr, self.actor_lr_decay = actor_lr, actor_lr_decay
         keys = (loss.unwrapped.tensor_keys.priority_weight, loss.value_estimator.tensor_keys.steps_to_next_obs)
         in_keys = [*loss.in_keys, *keys]
         self.critic = GradientStep(self._value_loss, loss.critic_tensors, critic_lr, execution, in_keys)
@@ -151,6 +127,7 @@ class ActorCriticStepper(OptimizationStepper):
         self.loss.project_weights()
         if self.targets is not None:
             self.targets.step()
+        self.loss.move_memories(self.tau)
         return value.loss
 
     def _value_loss(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
