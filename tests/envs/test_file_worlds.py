@@ -171,12 +171,16 @@ def test_a_glb_with_z_up(site: trimesh.Trimesh, tmp_path: Path) -> None:
     assert MeshConfig(file=str(tmp_path / "z.glb"), up="z").scene(0).size == pytest.approx(SIZE, abs=1e-4)
 
 
-def test_a_cloud_with_y_up(points: np.ndarray, tmp_path: Path) -> None:
+def test_of_a_cloud_with_x_up_is_warned(points: np.ndarray, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """It is no reason to refuse it: a street between high houses is seen so, too."""
     assert columns_along(np.array([[0, 0, 0], [1, 0, 0], [1, 5, 0], [1, 5, 9]])).tolist() == [3, 3, 3]
     lying = points[:, [2, 0, 1]]  # x is up
     file = str(write_cloud(lying, tmp_path / "x.npy"))
-    refused(lambda: CloudConfig(file=file), r"write env\.world\.up=x, or env\.world\.up=z if it is")
+    upright, said = CloudConfig(file=file).scene(0).size, "write env.world.up=x, or env.world.up=z if it is right"
+    assert said in caplog.text and upright == pytest.approx((8.2, SIZE[0]), abs=0.3)
+    caplog.clear()
     assert CloudConfig(file=file, up="x").scene(0).size == pytest.approx(SIZE, abs=0.3)
+    assert said not in caplog.text
     assert CloudConfig(file=file, up="z").scene(0).size == pytest.approx((8.2, SIZE[0]), abs=0.3)
 
 
@@ -216,6 +220,9 @@ def test_what_is_no_solid_keeps_its_lowest_floor() -> None:
     assert floor_of(sampled(room.triangles)) == pytest.approx((0.0, 0.0))
     assert floor_of(sampled(trimesh.util.concatenate(pillars).triangles))[0] == pytest.approx(0.0, abs=0.05)
     assert floor_of(sampled(house.triangles)) == pytest.approx((0.0, -1.0))
+    trees = [box((3, 3, 1), (x, y, 7)) for x in range(-9, 10, 3) for y in range(-9, 10, 3)]  # above all of the ground
+    roofed = trimesh.util.concatenate([turned, *trees])  # whose ground is open and faces down
+    assert floor_of(sampled(roofed.triangles)) == pytest.approx((0.0, 0.0), abs=0.1)
     low, lowest = floor_of(sampled(turned.triangles))
     assert low == lowest == pytest.approx(0.0, abs=0.1)
 
@@ -225,7 +232,9 @@ def test_vehicles_start_above_the_top_of_a_solid(tmp_path: Path, caplog: pytest.
     block.export(tmp_path / "block.stl")
     with caplog.at_level(logging.INFO, "uavrl"):
         world = World(MeshConfig(file=str(tmp_path / "block.stl"), **SHORT))
-    assert "It is a solid: its top is the ground; write env.world.floor=-10.00 if that is wrong" in caplog.text
+    told = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(told) == 1 and "block.stl looks like a closed solid, so its top is taken as the ground" in told[0]
+    assert "write env.world.floor=-10.00" in told[0]
     tasks = [world.sample_task(np.random.default_rng(seed)) for seed in range(8)]
     down = LidarConfig(sensor={"elevations": [-90.0], "azimuth_steps": 1})
     seen = Lidar(world.meshes, None, down).scan(np.stack([task.start for task in tasks]), np.stack([np.eye(3)] * 8))

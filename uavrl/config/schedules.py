@@ -57,8 +57,8 @@ def work_out(settings: "TrainConfig") -> None:
         return
     if steps is None:
         raise UavrlError(
-            f"algo.actor_lr_decay={[*decay]} are shares of the run, and a run that ends after so many episodes makes an "
-            "unknown number of updates: give trainer.steps, or two numbers of updates."
+            f"algo.actor_lr_decay={[*decay]} are shares of the run, and a run that ends after so many episodes makes "
+            "an unknown number of updates: give trainer.steps, or two numbers of updates."
         )
     before = cloning.get("steps", 0) if clones else 0 if settings.demonstrated else algo.get("learning_starts", 0)
     algo["actor_lr_decay"] = in_updates(decay, int(max(steps - before, 0) * settings.trainer.updates_per_step))

@@ -146,7 +146,7 @@ class FileWorld(WorldRules):
             )
         log.info(
             "%s: %s triangles, %.1f × %.1f m around [%.1f,%.1f]; the file reaches from [%.1f,%.1f] to [%.1f,%.1f], and "
-            "altitude 0 is at %.2f m of it.%s",
+            "altitude 0 is at %.2f m of it.",
             path.name,
             f"{len(corners):,}",
             *size,
@@ -154,19 +154,24 @@ class FileWorld(WorldRules):
             *low,
             *high,
             floor,
-            f" It is a solid: its top is the ground; write env.world.floor={lowest:.2f} if that is wrong."
-            if floor > lowest
-            else "",
         )
+        if floor > lowest:
+            log.warning(
+                "%s looks like a closed solid, so its top is taken as the ground. If vehicles are to fly inside, as "
+                "in a hall, write env.world.floor=%.2f.",
+                path.name,
+                lowest,
+            )
         return Scene([Solid(self.KIND, _mesh(corners))], size)
 
-    def _require_up(self, path: Path, seen: np.ndarray, than: float) -> None:
-        """Refuses a file of which more is seen along another axis than along the one that is taken as up."""
-        if self.up is None and (other := other_up(seen, than, self.upwards)):
-            raise UavrlError(
-                f"{path} has most of its surface upright, as if another axis pointed up than {self.upwards}: write "
-                f"env.world.up={other}, or env.world.up={self.upwards} if it is right."
-            )
+    def _upright(self, path: Path, seen: np.ndarray, than: float) -> str | None:
+        """Tells of a file of which more is seen along another axis than along the one that is taken as up."""
+        if self.up is not None or not (other := other_up(seen, than, self.upwards)):
+            return None
+        return (
+            f"{path} has most of its surface upright, as if another axis pointed up than {self.upwards}: write "
+            f"env.world.up={other}, or env.world.up={self.upwards} if it is right."
+        )
 
     def without_tasks(self, seed: int, scene: Scene, free: float) -> str:
         """Tells what there is at the flight level."""
@@ -205,7 +210,8 @@ class MeshConfig(FileWorld):
             raise UavrlError(f"{path}: {told}: repair it, or export it again.")
         used = to_metres(used.reshape(-1, 3), path, self.scale, self.upwards).reshape(-1, 3, 3)
         seen = area_across(used)
-        self._require_up(path, seen, np.sort(seen)[1])
+        if told := self._upright(path, seen, np.sort(seen)[1]):
+            raise UavrlError(told)
         return used, sampled(used)
 
 
@@ -244,7 +250,8 @@ class CloudConfig(FileWorld):
             raise UavrlError(f"{path} has no point whose numbers are finite: name another file.")
         points = to_metres(points, path, self.scale, self.upwards)
         seen = columns_along(occupied(points, COLUMN, 1))
-        self._require_up(path, seen, seen[2])
+        if told := self._upright(path, seen, seen[2]):
+            log.warning(told)  # a street between high houses looks so, too
         solid = occupied(points, self.voxel, self.min_points)
         if not len(solid):
             raise UavrlError(

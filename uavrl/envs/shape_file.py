@@ -23,6 +23,7 @@ LARGEST_EXTENT, LEAST_EXTENT = 5000.0, 3.0  # m
 TURNED: dict[Up, tuple[int, int, int]] = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}  # the file's axes, z up
 COLUMN = 1.0  # m, side of the columns in which surfaces lie above each other
 FACES = 0.1  # least z of the unit normal of a surface that faces up: a wall does not
+OPEN = 0.1  # share of what faces up and down by which both differ in an open surface
 SAMPLES = 16  # of a surface in a column, so that hardly any column misses one of its surfaces
 
 
@@ -200,8 +201,11 @@ def _median_lowest(points: np.ndarray) -> float:
 def _is_solid(points: np.ndarray, facing: np.ndarray) -> bool:
     """Whether in most columns the lowest surface faces down and another one above it faces up.
 
-    Empty columns count, too: pillars alone are no ground.
+    Empty columns count, too: pillars alone are no ground. Of a closed solid as much faces up as down, and of an open
+    ground whose faces are turned under closed roofs does not.
     """
+    if abs(facing.mean()) > OPEN * np.abs(facing).mean():
+        return False
     flat, height = points[:, :2] - points[:, :2].min(0), points[:, 2]
     side = max(COLUMN, math.sqrt(SAMPLES * float(flat.max(0).prod()) / len(points)))
     cell = np.floor(flat / side).astype(np.int64)

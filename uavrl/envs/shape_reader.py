@@ -39,7 +39,7 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
             from pypcd4 import PointCloud
 
             cloud = PointCloud.from_fileobj(file)
-            held, told = len(cloud.pc_data), cloud.metadata.points
+            held, told = np.size(cloud.pc_data), cloud.metadata.points
             if held < told:
                 raise ValueError(f"it holds {held:,} of the {told:,} points that its header tells")
             return _points_of(cloud.numpy(("x", "y", "z"))), np.zeros((0, 3), np.int64)

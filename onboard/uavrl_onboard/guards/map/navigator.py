@@ -76,7 +76,7 @@ class Navigator:
         """Forgets all that was seen."""
         self.known = EpisodeMap(*self._size)
         self._way: np.ndarray | None = None
-        self._trail: deque[np.ndarray] = deque(maxlen=round(CIRCLES / self.period))  # places, the last one last
+        self._trail: deque[np.ndarray] = deque(maxlen=max(round(CIRCLES / self.period), 2))  # places, the last one last
         self._scans = 0
 
     def look(
