@@ -210,8 +210,8 @@ class MeshConfig(FileWorld):
             raise UavrlError(f"{path}: {told}: repair it, or export it again.")
         used = to_metres(used.reshape(-1, 3), path, self.scale, self.upwards).reshape(-1, 3, 3)
         seen = area_across(used)
-        if told := self._upright(path, seen, np.sort(seen)[1]):
-            raise UavrlError(told)
+        if upright := self._upright(path, seen, np.sort(seen)[1]):
+            raise UavrlError(upright)
         return used, sampled(used)
 
 
@@ -250,8 +250,8 @@ class CloudConfig(FileWorld):
             raise UavrlError(f"{path} has no point whose numbers are finite: name another file.")
         points = to_metres(points, path, self.scale, self.upwards)
         seen = columns_along(occupied(points, COLUMN, 1))
-        if told := self._upright(path, seen, seen[2]):
-            log.warning(told)  # a street between high houses looks so, too
+        if upright := self._upright(path, seen, seen[2]):
+            log.warning(upright)  # a street between high houses looks so, too
         solid = occupied(points, self.voxel, self.min_points)
         if not len(solid):
             raise UavrlError(
