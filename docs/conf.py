@@ -93,6 +93,17 @@ nitpick_ignore_regex = [
         r"py:.*",
         r"uavrl_onboard\.(ros2\.dds|autopilot\.firmware|flight\.(limits|health)|lidar\.scans\.Skipped|mesh|policy\.contract_parts)(\.\w+)?|Contract|FirmwareName|GuardTerms|LiveEpisode|Motion|MotionTerms|MemoryTerms|Network|Vector",
     ),
+    (
+        r"py:.*",
+        r"uavrl\.envs\.(traps\.Trap|terrain\.HeightField|rules\.Standing|difficulty\.Difficulty|file_worlds\.FileWorld|shape_file\.Surface|sensors\.(SensorRays|SENSORS)|mapped_way)|Trap|HeightField|Standing|Difficulty|FileWorld|Mesh",
+    ),
+    (
+        r"py:.*",
+        r"uavrl\.(evaluation\.interventions|training\.validation\.(Validated|Flier)|reporting\.groups\.Group|models\.memory\.GRUMemory|losses\.(xqc\._Categorical|crossq\._WithoutTargets))|Flier",
+    ),
+    (r"py:.*", r"uavrl_onboard\.perception\.motion\.(rays\.ScanPattern|occlusion\.Returns)"),
+    (r"py:.*", r"torchrl\.(objectives\.CrossQLoss|modules\.BatchRenorm1d|data\.SliceSampler)"),
+    (r"py:.*", r"torch\.nn\.modules\.linear\.Linear|collections\.abc\.Collection"),
     (r"py:.*", r"Path|np\.ndarray|torchrl\..*\.TransformedEnv"),
     (r"py:.*", r"Tensor|TensorDictBase|uavrl\.envs\.(mesh\.Mesh|simulation\.Simulation|tasks\.Task|traffic\.Traffic)"),
     (r"py:.*", r"(typing\.|collections\.abc\.)?(Annotated|Literal|Mapping|tuple|dict)\[[^\]]*"),

@@ -256,7 +256,7 @@ def test_a_damaged_or_other_data_set_is_refused(data: Path, tmp_path: Path) -> N
     about, actions = (folder / "storage" / name for name in ("meta.json", "action.memmap"))
     whole = actions.read_bytes()
     actions.write_bytes(whole[:-16])  # four numbers of float32
-    with pytest.raises(UavrlError, match=rf"action\.memmap has {len(whole) - 16:,} of {len(whole):,} bytes"):
+    with pytest.raises(UavrlError, match=rf"action\.memmap has {len(whole) - 16:,} of {len(whole):,} bytes, so it"):
         uavrl.load_data(folder)
     rows = json.loads(about.read_text())
     rows["action"]["shape"][0] -= 1

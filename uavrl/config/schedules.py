@@ -1,12 +1,9 @@
 """Lengths that a run's configuration gives as shares of the run, worked out."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 from uavrl.errors import UavrlError
-
-if TYPE_CHECKING:
-    from uavrl.config.settings import TrainConfig
 
 CLONING_STEPS = 30_000  # of a run that has no number of steps
 
@@ -39,16 +36,24 @@ def in_updates(interval: Sequence[float], updates: int) -> list[int] | None:
     return [start, end] if end > start and end > 1 else None
 
 
-def work_out(settings: "TrainConfig") -> None:
+def work_out(
+    algo: dict[str, Any], cloning: dict[str, Any], *, steps: int | None, updates_per_step: float, demonstrated: bool
+) -> None:
     """Turns what is given as a share of the run into numbers, so that the run keeps them if it goes on for longer.
 
     A cloning phase without a number of steps lasts for all of the run. ``algo.actor_lr_decay`` counts the updates after
     it, or after the random steps at the start.
 
+    Args:
+        algo: settings of the algorithm, which are changed.
+        cloning: settings of the cloning phase, which are changed.
+        steps: of the run; None if only its episodes are known.
+        updates_per_step: after the cloning phase.
+        demonstrated: whether a demonstrator flies the first steps, from which the algorithm learns at once.
+
     Raises:
         UavrlError: for shares of a run of which it is not known how many updates it makes.
     """
-    steps, cloning, algo = settings.trainer.steps, settings.cloning, settings.algo
     clones = cloning.get("_target_") is not None
     if clones and cloning.get("steps", 0) is None:
         cloning["steps"] = steps or CLONING_STEPS
@@ -60,5 +65,5 @@ def work_out(settings: "TrainConfig") -> None:
             f"algo.actor_lr_decay={[*decay]} are shares of the run, and a run that ends after so many episodes makes "
             "an unknown number of updates: give trainer.steps, or two numbers of updates."
         )
-    before = cloning.get("steps", 0) if clones else 0 if settings.demonstrated else algo.get("learning_starts", 0)
-    algo["actor_lr_decay"] = in_updates(decay, int(max(steps - before, 0) * settings.trainer.updates_per_step))
+    before = cloning.get("steps", 0) if clones else 0 if demonstrated else algo.get("learning_starts", 0)
+    algo["actor_lr_decay"] = in_updates(decay, int(max(steps - before, 0) * updates_per_step))

@@ -91,7 +91,13 @@ class TrainConfig:
         require(bool(self.run_dir.strip()), "run_dir", "a folder to make", self.run_dir)
         require(self.resume is None or bool(self.resume.strip()), "resume", "the folder of a run", self.resume)
         guard_settings(self.guards)
-        work_out(self)
+        work_out(
+            self.algo,
+            self.cloning,
+            steps=self.trainer.steps,
+            updates_per_step=self.trainer.updates_per_step,
+            demonstrated=self.demonstrated,
+        )
 
 
 @dataclass

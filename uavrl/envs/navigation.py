@@ -209,7 +209,7 @@ class NavigationEnv(EnvBase):
 
     @property
     def tasks_begun(self) -> int:
-        """The number of the next task: without ``tasks``, how many were drawn since ``set_seed``."""
+        """The number of the next task. Without ``tasks`` it is how many were drawn since ``set_seed``."""
         return self._next_task
 
     def _reset(self, tensordict: TensorDictBase | None = None, *, task: int | None = None, **_: object) -> TensorDict:

@@ -32,7 +32,7 @@ LABELS = {
 OTHERS = [name for name in RATES if name != "success"]
 FEWEST = 10  # episodes in a valley whose success rate is printed
 DIFFICULTY = {"detour": ("detour", ""), "spacing": ("free width", " m")}
-"""What tells how hard a task is: its label and its unit."""
+"""Label and unit of what tells how hard a task is."""
 LEAST_TASKS = 9  # of which parts are told
 
 

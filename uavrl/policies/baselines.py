@@ -97,7 +97,7 @@ class VFHWeights:
     nearness: float  #: power of what a cell tells over the radius; the greater, the less far things count
     caution: float  #: share of the speed that is left out where the way is full, in [0, 1]
     change: float = 0.0  #: cost of a direction away from that of the last action, where that is known
-    headway: float = 0.0  #: s, in which the gap to an obstacle may be closed at the earliest; 0: gaps bound no speed
+    headway: float = 0.0  #: least seconds for closing the gap to an obstacle; with 0, gaps bound no speed
 
 
 # Chosen in valleys 200 to 209: the first by studies/tune_vfh.py, but for its level, 0.121 there, with which climbing

@@ -150,8 +150,8 @@ def _check_tensors(path: Path, name: str, about: dict[str, Any], sizes: dict[str
             whole = size == there
             if 0 <= there < size:
                 raise UavrlError(
-                    f"{path}: {folder}{key}.memmap has {there:,} of {size:,} bytes, so it is incomplete: copy or write "
-                    f"it again."
+                    f"{path}: {folder}{key}.memmap has {there:,} of {size:,} bytes, so it is incomplete, and none of "
+                    f"it was loaded: copy or write it again."
                 )
         if not whole:
             raise _refused(path, f"{name}, which does not describe {key}")

@@ -30,7 +30,7 @@ class SafetyState(StrEnum):
     """The states of the layer."""
 
     SILENT = "silent"  #: It sends nothing, so the autopilot refuses Offboard or leaves it.
-    STANDBY = "standby"  #: It sends zeros: all rules hold, but the autopilot does not fly by set-points.
+    STANDBY = "standby"  #: It sends zeros, since the autopilot does not fly by set-points; all rules hold.
     FLYING = "flying"  #: It sends the policy's action within its limits.
     FENCED = "fenced"  #: It sends the action without the part that leads out of the fence.
     HOLDING = "holding"  #: It sends zeros, because a rule is broken or was broken a moment ago.

@@ -33,7 +33,7 @@ def _others() -> np.ndarray:
 
 OTHERS = _others()
 CHOICES = len(RISES) + len(OTHERS)
-"""How many velocities there are to fly instead: the planned one with other rises, and ``OTHERS``."""
+"""How many velocities there are to fly instead, which are the planned one with other rises, and ``OTHERS``."""
 
 
 def evade(

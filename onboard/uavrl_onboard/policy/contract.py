@@ -159,7 +159,7 @@ class Contract(ContractPart):
 
     @property
     def view(self) -> View:
-        """The field of view that the cells read: that of the sensor of the training, and all rows of the cells."""
+        """The field of view that the cells read, which is that of the training's sensor and all rows of the cells."""
         lidar = self.cloud.lidar
         if lidar is not None and lidar.cells_see is not None:
             return lidar.cells_see
