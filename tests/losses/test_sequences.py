@@ -183,6 +183,19 @@ def test_penalties_read_the_state_as_it_is_observed(name: str) -> None:
     torch.testing.assert_close(metadata["demonstrator_distance"], 0.25 * (action - scripted).square().mean(-1).detach())
 
 
+def test_the_temperature_learns_from_no_step_behind_the_end_of_an_episode() -> None:
+    loss, batch = loss_of("sac"), windows()
+    found = []
+    for value in (0.0, 5.0):
+        batch["steps", "observation"][0, 2:] = value  # which count for nothing
+        torch.manual_seed(1)
+        found.append(loss.actor_loss(batch)[1]["log_prob"])
+    assert found[0].shape == () and found[0] == found[1]
+    batch["steps", "observation"][0, 0] = 5.0
+    torch.manual_seed(1)
+    assert loss.actor_loss(batch)[1]["log_prob"] != found[0]
+
+
 def test_the_demonstrator_is_cloned_on_windows() -> None:
     loss, batch = loss_of("td3"), windows()
     cloning = Cloning(loss, limit=2.0, lr=1e-2, execution="eager")

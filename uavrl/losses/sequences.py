@@ -135,7 +135,11 @@ class SequenceLoss(ActorCriticLoss, nn.Module):
         taken = self.states(tensordict)
         with torch.no_grad():
             remembered = taken_at(self.critic_memory.unroll(tensordict["seen"]), tensordict["steps", "now"])
-        return self.loss.actor_loss(taken.set(CRITIC_MEMORY, remembered))
+        loss, metadata = self.loss.actor_loss(taken.set(CRITIC_MEMORY, remembered))
+        if (log_prob := metadata.get("log_prob")) is not None:  # from which SAC's temperature learns
+            weight = taken.get(self.unwrapped.tensor_keys.priority_weight)
+            metadata = {**metadata, "log_prob": (weight * log_prob).sum() / weight.sum()}
+        return loss, metadata
 
     @torch.no_grad()
     def move_memories(self, tau: float) -> None:
