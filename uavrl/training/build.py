@@ -81,9 +81,9 @@ def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> E
     if collector_class(settings).is_remote:
         env.close()  # another process makes its own
         source = with_matmul_backend(new_env)
+    taken = options({**settings.algo, TARGET: STEPPER})
     # A window is a batch in a batch, of which a recording takes no account.
     execution = "eager" if loss.learns_from_sequences else chosen_execution(settings.trainer.execution)
-    taken = options({**settings.algo, TARGET: STEPPER})
     logger = make_logger(
         settings.logger, run_dir, Path(settings.run_dir).name, settings.choices.get("logger", ""), settings.packages
     )
