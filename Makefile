@@ -60,7 +60,7 @@ check: $(DEV) $(DOCS)
 
 # What takes more than a minute by its nature.
 test-slow: $(DEV)
-	$(BIN)/python -m pytest -m slow $(ARGS)
+	$(BIN)/python -m pytest -m slow -o faulthandler_timeout=0 $(ARGS)
 
 # `make test` under Debian 13's Python, in a root of its own. Takes root on a Debian or Ubuntu, and debootstrap.
 check-python:

@@ -45,9 +45,9 @@ def a_few_flights() -> Iterator[None]:
         yield
 
 
-@settings(TOLD, max_examples=500)
+@settings(TOLD, max_examples=100)
 @given(ANY)
-def test_500_of_any_overrides_end_before_the_world_or_in_one_sentence(overrides: list[str]) -> None:
+def test_any_overrides_end_before_the_world_or_in_one_sentence(overrides: list[str]) -> None:
     ends_well(overrides, before_the_world)
 
 
@@ -59,6 +59,13 @@ def test_any_overrides_end_in_a_few_flights_or_in_one_sentence(overrides: list[s
 
 @pytest.mark.slow
 @settings(TOLD, max_examples=500, derandomize=False)  # others each time; a failure prints its overrides
+@given(ANY)
+def test_500_of_any_overrides_end_before_the_world_or_in_one_sentence(overrides: list[str]) -> None:
+    ends_well(overrides, before_the_world)
+
+
+@pytest.mark.slow
+@settings(TOLD, max_examples=500, derandomize=False)
 @given(ANY)
 def test_500_of_any_overrides_end_in_a_few_flights_or_in_one_sentence(overrides: list[str]) -> None:
     ends_well(overrides, a_few_flights)

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from tests.helpers.commands import VALLEY, in_process
+from tests.helpers.signals import HEARING
 from uavrl.cli.evaluate import main as evaluate
 
 FEW = [*VALLEY, "num_uavs=2", "progress=false"]
@@ -91,7 +92,7 @@ def test_an_evaluation_that_is_stopped_leaves_no_process_and_no_file(
     (tmp_path / "failing.py").write_text(FAILS.replace("HERE", "True").replace("AT_ONCE", "open('flies', 'w').close()"))
     where = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
     command = [sys.executable, "-m", "uavrl.cli.evaluate", *ENDLESS, "valleys=[3]"]
-    with Popen(command, cwd=tmp_path, env=where, stdout=PIPE, stderr=PIPE, text=True, preexec_fn=_hears) as process:
+    with Popen([*HEARING, *command], cwd=tmp_path, env=where, stdout=PIPE, stderr=PIPE, text=True) as process:
         while not (tmp_path / "flies").exists():
             assert process.poll() is None, process.communicate()
             time.sleep(0.1)
@@ -102,8 +103,3 @@ def test_an_evaluation_that_is_stopped_leaves_no_process_and_no_file(
             process.kill()
     assert (process.returncode, out, err) == (code, "", "uavrl: stopped.\n")
     assert sorted(each.name for each in tmp_path.iterdir() if each.suffix != "") == ["failing.py"]
-
-
-def _hears() -> None:
-    """Lets a process hear what shells ignore for their background jobs."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -14,6 +14,7 @@ import pytest
 
 from tests.helpers.commands import in_process
 from tests.helpers.runs import SMALL, assert_same_run, small_config
+from tests.helpers.signals import HEARING
 from uavrl.cli import train as train_command
 from uavrl.runs.checkpoint import how_to_go_on, rotation
 from uavrl.runs.episodes import Episode, read_episodes
@@ -162,12 +163,6 @@ if __name__ == "__main__":
 """
 
 
-def _hears() -> None:
-    """Lets a process hear what shells and ``nohup`` ignore for theirs."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-
 @pytest.mark.parametrize("in_another_thread", [False, True])
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 def test_a_suite_that_is_ended_leaves_nothing_behind(
@@ -177,7 +172,7 @@ def test_a_suite_that_is_ended_leaves_nothing_behind(
     script = tmp_path / "suite.py"
     script.write_text(SUITE, encoding="utf-8")
     told = [str(int(number))] if in_another_thread else []
-    with Popen([sys.executable, script, *told], stdout=PIPE, stderr=PIPE, text=True, preexec_fn=_hears) as process:
+    with Popen([*HEARING, sys.executable, script, *told], stdout=PIPE, stderr=PIPE, text=True) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
         if not in_another_thread:
             process.send_signal(number)
@@ -209,7 +204,7 @@ with command_process():
 def test_a_command_whose_terminal_is_closed_cleans_up_and_exits_with_129(at_the_end: str, tmp_path: Path) -> None:
     script, (ours, theirs) = tmp_path / "command.py", os.openpty()
     script.write_text(ON_A_TERMINAL.replace("AT_THE_END", at_the_end), encoding="utf-8")
-    begun = partial(Popen[bytes], [sys.executable, script], cwd=tmp_path, start_new_session=True, preexec_fn=_hears)
+    begun = partial(Popen[bytes], [*HEARING, sys.executable, script], cwd=tmp_path, start_new_session=True)
     buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     with begun(env=buffered, stdin=theirs, stdout=theirs, stderr=theirs) as process:
         os.close(theirs)

@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import torch
 
 from tests.helpers.commands import VALLEY
 from tests.helpers.measured import measured
+from tests.helpers.signals import HEARING
 from tests.helpers.sitl import Ground, Scripted, fly, running
 from tests.helpers.valleys import NEAR, SMALL
 from uavrl.config import compose, validate
@@ -127,8 +127,7 @@ def test_a_signal_ends_it_with_what_came_of_it(tmp_path: Path, number: int, code
     options = [f"lidar={ground.addresses[0]}", f"autopilot={ground.addresses[1]}", f"json={told}"]
     command = [sys.executable, "-m", "uavrl.cli.sitl", *VALLEY, *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    heard = partial(signal.signal, number, signal.SIG_DFL)  # who runs this under nohup has told it not to hear
-    with closing(ground), subprocess.Popen(command, preexec_fn=heard, **pipes) as process:  # type: ignore[call-overload]
+    with closing(ground), subprocess.Popen([*HEARING, *command], **pipes) as process:  # type: ignore[call-overload]
         process.stdout.readline()
         time.sleep(0.5)
         process.send_signal(number)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from omegaconf import OmegaConf
 
 from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import ABR, FORK_AND_LIFEGUARD, SAC, SMALL, assert_same_run, contents, small_config
+from tests.helpers.signals import HEARING
 from uavrl.buffers import GatheringStorage
 from uavrl.errors import UavrlError
 from uavrl.pretraining import read_states
@@ -192,8 +193,7 @@ def test_states_kept_frame_by_frame_teach_the_same(tmp_path: Path, monkeypatch: 
 
 def test_a_stopped_run_says_how_to_go_on_and_leaves_nothing(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "uavrl.cli.train", *SMALL, "trainer.episodes=5000", f"run_dir={tmp_path / 'run'}"]
-    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs do not hear Ctrl-C
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
+    process = subprocess.Popen([*HEARING, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         deadline = time.monotonic() + 600
         while len(rotation(tmp_path / "run").checkpoints() if (tmp_path / "run").exists() else ()) < 2:

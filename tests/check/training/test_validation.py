@@ -15,6 +15,7 @@ import pytest
 import torch
 
 from tests.helpers.runs import SMALL, small_config
+from tests.helpers.signals import HEARING
 from uavrl.config import validate
 from uavrl.errors import FlyingEnded, ValidationFailed
 from uavrl.losses.networks import NetworkSizes, make_actor
@@ -111,8 +112,7 @@ def test_no_process_outlives_a_run_that_is_stopped(tmp_path: Path, number: signa
     run = tmp_path / "run"
     more = ["collector=async", *UNSEEN, "validation.tasks=2000", "trainer.episodes=500000", f"run_dir={run}"]
     command = [sys.executable, "-m", "uavrl.cli.train", *SMALL, *more]
-    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs do not hear Ctrl-C
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
+    process = subprocess.Popen([*HEARING, *command], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
         deadline = time.monotonic() + 300
         while len(children(process.pid)) < 3:  # the collector's worker, the validation, Python's resource tracker
