@@ -1,8 +1,9 @@
-"""Environments in forked processes: the valley, and every transform around an environment of its contract."""
+"""Environments in other processes: the valley, and every transform around an environment of its contract."""
 
 from __future__ import annotations
 
 import importlib
+import multiprocessing
 import pkgutil
 from collections.abc import Callable
 from functools import partial
@@ -18,6 +19,8 @@ from uavrl.envs.navigation import NavigationEnv
 for module in pkgutil.iter_modules(tests.transforms.__path__, "tests.transforms."):
     importlib.import_module(module.name)
 CONTRACTS = [contract for contract in TransformContract.__subclasses__() if "transforms" in contract.__module__]
+START = "forkserver"  # forks no process whose threads may hold a lock, as this one's may
+multiprocessing.set_forkserver_preload(["torchrl.envs", "uavrl.envs.navigation", "uavrl.transforms"])
 
 
 def transformed(contract: type[TransformContract]) -> EnvBase:
@@ -36,7 +39,7 @@ MAKERS = {
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 def test_specs_hold_in_two_processes(make: Callable[[], EnvBase]) -> None:
-    env = ParallelEnv(2, make, mp_start_method="fork")
+    env = ParallelEnv(2, make, mp_start_method=START)
     try:
         check_env_specs(env)
     finally:
