@@ -15,31 +15,46 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 CHROMEDRIVER = shutil.which("chromedriver")
 
 
+_SECONDS = 240  # that a page or a script may take: without a graphics card, and on a busy machine
+_FLAGS = (
+    "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking disable-component-update "
+    "disable-sync use-angle=swiftshader enable-unsafe-swiftshader"
+)
+
+
 @contextmanager
-def browser_with(page: Path) -> Iterator[Any]:
-    """Opens a page, and waits until it says that it is ready; its profile lies beside the page."""
+def browser(profile: Path, size: str) -> Iterator[Any]:
+    """A browser with a window of ``WIDTH,HEIGHT``, whose profile lies in a folder."""
     if CHROMIUM is None or CHROMEDRIVER is None:
         pytest.skip("needs chromium and chromedriver: apt-get install chromium chromium-driver")
     webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium: pip install selenium")
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM
     options.page_load_strategy = "none"
-    flags = "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking "
-    flags += "disable-component-update disable-sync use-angle=swiftshader enable-unsafe-swiftshader "
-    flags += f"window-size=700,500 user-data-dir={page.parent / 'profile'}"
-    for flag in flags.split():
+    for flag in [*_FLAGS.split(), f"window-size={size}", f"user-data-dir={profile}"]:
         options.add_argument(f"--{flag}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(CHROMEDRIVER))
     try:
-        driver.set_script_timeout(900)  # without a graphics card, and on a busy machine
-        driver.command_executor.client_config.timeout = 1000
-        driver.get(page.as_uri())
-        ready = "return document.body && document.body.dataset.ready"
-        until = time.monotonic() + 900
-        while not driver.execute_script(ready):
-            assert time.monotonic() < until, driver.get_log("browser")
-            time.sleep(0.5)
+        driver.set_script_timeout(_SECONDS)
+        driver.command_executor.client_config.timeout = _SECONDS + 20
         yield driver
     finally:
         driver.quit()
+
+
+def open_page(driver: Any, page: Path, ready: str) -> None:
+    """Opens a page, and waits until an expression says that it is ready."""
+    driver.get(page.as_uri())
+    until = time.monotonic() + _SECONDS
+    while not driver.execute_script(f"return location.href == arguments[0] && ({ready})", page.as_uri()):
+        assert time.monotonic() < until, driver.get_log("browser")
+        time.sleep(0.2)
+
+
+@contextmanager
+def browser_with(page: Path) -> Iterator[Any]:
+    """A browser with a page that has said that it is ready; its profile lies beside the page."""
+    with browser(page.parent / "profile", "700,500") as driver:
+        open_page(driver, page, "document.body && document.body.dataset.ready")
+        yield driver

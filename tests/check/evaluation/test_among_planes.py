@@ -20,7 +20,9 @@ PLANES = [
 ]
 
 
-@pytest.mark.parametrize(("guards", "least", "most"), [("none", 8, 40), ("evasion", 0, 6), ("all", 0, 6)])
+@pytest.mark.parametrize(
+    ("guards", "least", "most"), [("none", 8, 40), pytest.param("evasion", 0, 6, marks=pytest.mark.slow), ("all", 0, 6)]
+)
 def test_flying_straight_among_planes(guards: str, least: int, most: int, tmp_path: Path) -> None:
     """It collides in 10 and 3 of the 40 tasks; nothing else is in its way."""
     output = tmp_path / "result.json"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.helpers.browser import browser, open_page
 from tests.helpers.flights import small_recording
 from tests.helpers.folders import several_runs
 from tests.helpers.logged import write_log
@@ -23,8 +23,6 @@ from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.lidar.summary import ScanSummary
 from uavrl_onboard.pages.scan_page import write_scan_page
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-CHROMEDRIVER = shutil.which("chromedriver")
 AXE = find_spec("axe_core_python")
 CHECK = """
 const tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"], done = arguments[arguments.length - 1];
@@ -36,24 +34,15 @@ axe.run(document, {runOnly: tags, rules}).then(
 """
 
 
+LOADED = "document.readyState == 'complete'"
+
+
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    if CHROMIUM is None or CHROMEDRIVER is None:
-        pytest.skip("needs chromium and chromedriver: apt-get install chromium chromium-driver")
+def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     if AXE is None:
         pytest.skip("needs axe: pip install axe-core-python")
-    webdriver = pytest.importorskip("selenium.webdriver", reason="needs selenium: pip install selenium")
-    options = webdriver.ChromeOptions()
-    options.binary_location = CHROMIUM
-    profile = tmp_path_factory.mktemp("browser")
-    flags = "headless no-sandbox disable-gpu no-first-run disable-background-networking disable-component-update "
-    flags += f"use-angle=swiftshader enable-unsafe-swiftshader window-size=1280,720 user-data-dir={profile}"
-    for flag in flags.split():
-        options.add_argument(f"--{flag}")
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(CHROMEDRIVER))
-    driver.set_script_timeout(300)
-    yield driver
-    driver.quit()
+    with browser(tmp_path_factory.mktemp("browser"), "1280,720") as opened:
+        yield opened
 
 
 @pytest.fixture(scope="module")
@@ -72,18 +61,18 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("name", ["report", "flight", "logged", "scan"])
-def test_axe_finds_nothing(browser: Any, pages: Path, name: str, theme: str) -> None:
+def test_axe_finds_nothing(driver: Any, pages: Path, name: str, theme: str) -> None:
     wanted = {"features": [{"name": "prefers-color-scheme", "value": theme}]}
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
-    browser.get((pages / f"{name}.html").as_uri())
-    assert browser.execute_script("return matchMedia('(prefers-color-scheme: dark)').matches") == (theme == "dark")
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", wanted)
+    open_page(driver, pages / f"{name}.html", LOADED)
+    assert driver.execute_script("return matchMedia('(prefers-color-scheme: dark)').matches") == (theme == "dark")
     (axe,) = (Path(place) / "axe.min.js" for place in AXE.submodule_search_locations)
-    browser.execute_script(axe.read_text(encoding="utf-8"))
-    assert browser.execute_async_script(CHECK) == []
+    driver.execute_script(axe.read_text(encoding="utf-8"))
+    assert driver.execute_async_script(CHECK) == []
 
 
-def test_a_report_is_no_wider_than_a_small_window(browser: Any, pages: Path) -> None:
+def test_a_report_is_no_wider_than_a_small_window(driver: Any, pages: Path) -> None:
     size = {"width": 600, "height": 900, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.get((pages / "report.html").as_uri())
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= 600
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    open_page(driver, pages / "report.html", LOADED)
+    assert driver.execute_script("return document.documentElement.scrollWidth") <= 600

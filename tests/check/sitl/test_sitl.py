@@ -145,19 +145,21 @@ def test_in_lockstep_it_is_the_environment_bit_by_bit() -> None:
         state = env.step(state.set("action", torch.from_numpy(action)[None]))["next"]
         places.append(env.simulation.position[0].copy())
     env.set_seed(5)
-    episode = LiveEpisode(env, 1)
-    sitl = Sitl(episode, *ground.addresses, speed="lockstep", max_steps=12, linger=0.0)
-    thread, sent, seen = running(sitl), 0, []
+    seen: list[np.ndarray] = []
+
+    class Watched(LiveEpisode):
+        def step(self, command: np.ndarray) -> None:
+            super().step(command)
+            seen.append(env.simulation.position[0].copy())
+
+    sitl = Sitl(Watched(env, 1), *ground.addresses, speed="lockstep", max_steps=12, linger=0.0)
+    thread = running(sitl)
     with closing(ground), Autopilot(ground.addresses[1], set_mode=True) as link:
         while thread.is_alive():
-            now = time.monotonic()
+            now, flown = time.monotonic(), len(seen)
             link.receive(now)
-            link.send(actions[min(sent, 11)], now)
-            while thread.is_alive() and sitl.autopilot.setpoints == sent and time.monotonic() < now + 0.1:
+            link.send(actions[min(flown, 11)], now)
+            while thread.is_alive() and len(seen) == flown and time.monotonic() < now + 0.3:
                 time.sleep(0.001)
-            time.sleep(0.01)
-            if sitl.autopilot.setpoints > sent:
-                sent = sitl.autopilot.setpoints
-                seen.append(env.simulation.position[0].copy())
-    np.testing.assert_array_equal(seen[:11], places[:11])
+    np.testing.assert_array_equal(seen, places)
     env.close()
