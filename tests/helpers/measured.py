@@ -1,6 +1,7 @@
 """A mark for tests that measure this machine: its clock, as a sensor or an autopilot goes by it, or its memory.
 
-A machine that has much else to do fails them for a while, and a fault fails them each time: they get three tries.
+It is for those, too, that wait for a browser. A machine that has much else to do fails them for a while, and a fault
+fails them each time: they get three tries.
 """
 
 from __future__ import annotations

@@ -11,8 +11,11 @@ import pytest
 
 from tests.helpers.browser import browser_with
 from tests.helpers.folders import several_runs
+from tests.helpers.measured import measured
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
+
+pytestmark = measured
 
 READY = "<body data-ready=true>"  # for browser_with
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")

@@ -13,6 +13,7 @@ from tests.helpers.browser import browser, open_page
 from tests.helpers.flights import small_recording
 from tests.helpers.folders import several_runs
 from tests.helpers.logged import write_log
+from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from uavrl.reporting.page import page
 from uavrl.reporting.report import make_report
@@ -22,6 +23,8 @@ from uavrl_onboard.flight.logged_flight import LoggedFlight
 from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.lidar.summary import ScanSummary
 from uavrl_onboard.pages.scan_page import write_scan_page
+
+pytestmark = measured
 
 AXE = find_spec("axe_core_python")
 CHECK = """

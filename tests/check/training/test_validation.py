@@ -91,7 +91,7 @@ def test_a_run_with_another_process_is_validated_and_resumed(tmp_path: Path) -> 
     config = small_config(tmp_path / "run", "collector=async", *UNSEEN, "trainer.steps=3000", "trainer.episodes=5000")
     first = train(config, create_run(config))["validations"]
     assert first and active_children() == before
-    config.trainer.steps = 6000
+    config.trainer.steps = 4000
     second = train(config, tmp_path / "run", resume=True)["validations"]
     assert second[: len(first)] == first and active_children() == before
 

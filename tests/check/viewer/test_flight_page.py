@@ -14,9 +14,12 @@ import pytest
 from tests.helpers.browser import browser_with
 from tests.helpers.flights import small_recording
 from tests.helpers.logged import ATTITUDE, SILENT, write_log
+from tests.helpers.measured import measured
 from uavrl.viewer.flight_page import write_data, write_page
 from uavrl.viewer.logged_page import logged_page_data
 from uavrl_onboard.flight.logged_flight import LoggedFlight
+
+pytestmark = measured
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from tests.helpers.browser import browser_with
+from tests.helpers.measured import measured
 from tests.helpers.packets import RECORDED
 from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.lidar.summary import ScanSummary
 from uavrl_onboard.pages.scan_page import write_scan_page
 from uavrl_onboard.perception.reductions import range_image
+
+pytestmark = measured
 
 
 def test_a_browser_shows_scans_and_cells_without_errors(tmp_path: Path) -> None:
