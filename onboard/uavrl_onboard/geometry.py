@@ -75,10 +75,8 @@ class Columns:
     squared: np.ndarray  #: ``[M]`` in m²
 
     @classmethod
-    def of(cls, cloud: np.ndarray | Columns) -> Columns:
-        """Return the columns of a scan ``[P, 3]``; one that is in columns already comes back as it is."""
-        if isinstance(cloud, Columns):
-            return cloud
+    def of(cls, cloud: np.ndarray) -> Columns:
+        """Return the columns of a scan ``[P, 3]``."""
         x, y, z = points = cloud.T if cloud.strides[0] == cloud.itemsize else np.ascontiguousarray(cloud.T)
         with np.errstate(over="ignore", invalid="ignore"):
             squared = x * x + y * y + z * z
@@ -91,13 +89,6 @@ class Columns:
     def azimuths(self) -> np.ndarray:
         """Azimuths to the right of straight ahead, ``[M]`` in rad in [-π, π]."""
         return np.asarray(np.arctan2(-self.points[1], self.points[0]))
-
-    def azimuths_at(self, which: np.ndarray) -> np.ndarray:
-        """Return the azimuths at some places, ``[K]``, of those that are known already, where they are."""
-        if "azimuths" in vars(self):
-            return self.azimuths.take(which)
-        x, y = (axis.take(which) for axis in self.points[:2])
-        return np.asarray(np.arctan2(-y, x))
 
     def within(self, farthest: float) -> np.ndarray:
         """Return the places of the returns nearer than ``farthest`` metres, ``[K]``."""

@@ -132,9 +132,9 @@ class Flight:
         returns = None if scan is None else Columns.of(scan.points)
         implausible = self._check(returns, pose)
         if scan is not None and returns is not None:
-            outside = scan.points if self._box is None else without_vehicle(scan.points, *self._box)
-            if outside is not scan.points:
-                scan, returns = replace(scan, points=outside), Columns.of(outside)
+            if self._box is not None:
+                scan = replace(scan, points=without_vehicle(scan.points, *self._box))
+                returns = Columns.of(scan.points)
             self._scan_stamp, self._action = scan.stamp, self._act(scan, returns, pose, now)
         distance = self._distance(pose)
         at_goal = distance is not None and distance <= self._radius
@@ -196,7 +196,7 @@ class Flight:
             self._turn = turn if "map" in self._guards.guards else None
             heading = (read["heading_deg"] + math.degrees(turn)) % 360.0
             told = (read["altitude"], heading, read["elevation_deg"], pose.velocity, pose.attitude, elapsed)
-            action = self._policy(returns, *told)
+            action = self._policy(scan.points, *told)
             action[:3] = self._guards.filter(action[None, :3])[0]
         except UavrlError as error:
             if str(error) != self.refusal:

@@ -33,13 +33,12 @@ Reduction = Literal["truncated_icosahedron", "range_image"]
 
 
 def truncated_icosahedron(
-    points: np.ndarray | Columns, radius: float = 4.0, statistic: Statistic = "face", *, view: View | None = None
+    points: np.ndarray, radius: float = 4.0, statistic: Statistic = "face", *, view: View | None = None
 ) -> np.ndarray:
     """Reduces one cloud to 32 distances, as `uavrl.transforms.icosahedron.truncated_icosahedron` does.
 
     Args:
-        points: ``[P, 3]`` in metres in the sensor frame, float32 or float64, where NaN, infinity and zeros are misses;
-            or the returns of a scan in columns.
+        points: ``[P, 3]`` in metres in the sensor frame, float32 or float64; NaN, infinity and zeros are misses.
         radius: circumradius in metres.
         statistic: what a face reports: ``"face"``, ``"range"`` or ``"proximity"``.
         view: the field of view outside of which points do not count; None: all count.
@@ -55,8 +54,7 @@ def truncated_icosahedron(
         >>> seen.shape, np.flatnonzero(seen).tolist()
         ((32,), [30])
     """
-    columns, near = _near(points, radius, statistic, view)
-    x, y, z = (axis.take(near) for axis in columns.points)
+    x, y, z = _returns(points, radius, statistic, view)
     normals, centres, offsets, images = _faces(float(radius), x.dtype)
     mirrored = (x < 0.0) * 4 + (y < 0.0) * 2 + (z < 0.0)  # see `uavrl_onboard.perception.cells.octant`
     x, y, z = np.abs(x), np.abs(y), np.abs(z)
@@ -73,7 +71,7 @@ def truncated_icosahedron(
 
 
 def range_image(
-    points: np.ndarray | Columns,
+    points: np.ndarray,
     radius: float = 4.0,
     statistic: Statistic = "proximity",
     grid: RangeGrid = VLP16_GRID,
@@ -100,10 +98,9 @@ def range_image(
         >>> seen.shape, np.flatnonzero(seen).tolist(), float(seen[1])
         ((72,), [1], 1.0)
     """
-    columns, near = _near(points, radius, statistic, view)
-    x, y, z = (axis.take(near) for axis in columns.points)
+    x, y, z = _returns(points, radius, statistic, view)
     across = np.sqrt(x * x + y * y)
-    column = np.round(columns.azimuths_at(near) * (-grid.columns / (2.0 * np.pi))).astype(np.int64) % grid.columns
+    column = np.round(np.arctan2(y, x) * (grid.columns / (2.0 * np.pi))).astype(np.int64) % grid.columns
     elevation = np.arctan2(z, across)
     cell = sum(((elevation > math.radians(each)).astype(np.int64) for each in grid.row_borders), column * grid.rows)
     if statistic == "face":
@@ -125,10 +122,11 @@ def directions(reduction: Reduction, grid: RangeGrid = VLP16_GRID) -> np.ndarray
     return icosahedron(1.0).normals if reduction == "truncated_icosahedron" else range_image_middles(grid)
 
 
-def _near(points: np.ndarray | Columns, radius: float, statistic: str, view: View | None) -> tuple[Columns, np.ndarray]:
-    """The returns of a scan, and the places ``[M]`` of those from within the ball and the field of view."""
-    is_cloud = isinstance(points, np.ndarray) and points.ndim == 2 and points.shape[1] == 3 and points.dtype.kind == "f"
-    if not is_cloud and not isinstance(points, Columns):
+def _returns(
+    points: np.ndarray, radius: float, statistic: str, view: View | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The coordinates ``[M]`` of all returns from within the ball and the field of view."""
+    if not isinstance(points, np.ndarray) or points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
         came = f"{points.dtype} {list(points.shape)}" if isinstance(points, np.ndarray) else type(points).__name__
         raise UavrlError(f"points must be an array of floats [P, 3], got {came}: pass one scan in metres.")
     if not NEAREST_RETURN < radius <= LARGEST_RADIUS:
@@ -136,10 +134,10 @@ def _near(points: np.ndarray | Columns, radius: float, statistic: str, view: Vie
     if statistic not in get_args(Statistic):
         raise UavrlError(f"statistic must be one of {', '.join(get_args(Statistic))}, got {statistic!r}.")
     columns = Columns.of(points)
-    near = columns.between(return_bounds(radius))
-    if view is None:
-        return columns, near
-    return columns, near[in_view(*(axis.take(near) for axis in columns.points), view)]
+    x, y, z = columns.points.take(columns.between(return_bounds(radius)), axis=1)
+    if view is not None and not (seen := in_view(x, y, z, view)).all():
+        x, y, z = x[seen], y[seen], z[seen]
+    return x, y, z
 
 
 def _reported(

@@ -55,9 +55,7 @@ class MotionReader:
             raise UavrlError(f"elapsed must be a finite time above 0 s, got {elapsed}: give that between two scans.")
         return told[0], told[1], elapsed
 
-    def __call__(
-        self, cloud: np.ndarray | Columns, velocity: np.ndarray, attitude: np.ndarray, elapsed: float
-    ) -> np.ndarray:
+    def __call__(self, cloud: np.ndarray, velocity: np.ndarray, attitude: np.ndarray, elapsed: float) -> np.ndarray:
         """Takes in another scan ``[P, 3]``; returns objects and threats, scaled, ``float32``."""
         scan = Columns.of(cloud)
         searched = scan.rows(self._pattern.searched(scan))

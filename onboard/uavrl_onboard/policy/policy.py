@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from uavrl_onboard.errors import UavrlError
-from uavrl_onboard.geometry import Columns
 from uavrl_onboard.libraries import needed
 from uavrl_onboard.perception.motion.rays import ScanPattern
 from uavrl_onboard.perception.observation import FrameStack, navigation_observation
@@ -90,7 +89,7 @@ class Policy:
 
     def __call__(
         self,
-        cloud: np.ndarray | Columns,
+        cloud: np.ndarray,
         altitude: float,
         heading_deg: float,
         elevation_deg: float,
@@ -102,7 +101,7 @@ class Policy:
 
         Args:
             cloud: ``[P, 3]`` in m in the sensor frame (x forward, y left, z up), in any order; NaN, infinity and zeros
-                are misses. Who looks at a scan himself hands on its :class:`uavrl_onboard.geometry.Columns`.
+                are misses.
             altitude: z above the mean level of the ground, m.
             heading_deg: from the vehicle's head to the goal, left positive, degrees; turned by the
                 map, where that is on.
@@ -129,7 +128,7 @@ class Policy:
 
     def state(
         self,
-        cloud: np.ndarray | Columns,
+        cloud: np.ndarray,
         altitude: float,
         heading_deg: float,
         elevation_deg: float,
