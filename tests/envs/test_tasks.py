@@ -82,6 +82,11 @@ def test_starts_keep_away_from_planes(world: World) -> None:
     everywhere = np.stack(np.meshgrid(np.arange(-20.0, 21, 5), np.arange(-15.0, 16, 5), [3.5]), -1).reshape(-1, 3)
     with pytest.raises(ValueError, match="lower plane_keep_out"):
         world.sample_task(rng, 0, avoid=everywhere)
+    crowded = np.stack(np.meshgrid(np.arange(-20.0, 21, 6.5), np.arange(-15.0, 16, 6.5), [3.5]), -1).reshape(-1, 3)
+    for _ in range(20):  # nowhere are 6 m left, and somewhere two thirds of that
+        task = world.sample_task(rng, 0, avoid=crowded)
+        assert 4.0 <= np.linalg.norm(task.start[:2] - crowded[:, :2], axis=1).min() < 6.0
+        assert np.linalg.norm((task.start - task.goal)[:2]) >= world.config.min_goal_distance
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -85,7 +85,8 @@ class WorldRules:
         planes: Number of planes per place; 3 in the thesis's dynamic environment.
         plane_speed: Least and greatest speed of a plane in m/s.
         plane_wingspan: Wingspan of a plane in m.
-        plane_keep_out: Least distance in m from a start to a plane.
+        plane_keep_out: Least distance in m from a start to a plane. Where the planes leave no such place for a moment,
+            the start has two thirds of it or more.
     """
 
     NAMED: ClassVar[bool] = True  # whether a yaml file names the class by its _target_

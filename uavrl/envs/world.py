@@ -23,6 +23,7 @@ from uavrl_onboard.pluralize import pluralize
 
 log = logging.getLogger(__name__)
 PLACE_GAP = 110.0  # m between the borders of two places: over the LiDAR's range of 100 m
+CROWDED = 2 / 3  # of plane_keep_out, which a start has at least where planes leave no more for a moment
 
 
 if TYPE_CHECKING:
@@ -165,19 +166,24 @@ class World:
     def _start_apart(
         self, rng: np.random.Generator, place: Place, start: np.ndarray, goal: np.ndarray, planes: np.ndarray
     ) -> np.ndarray:
-        """The start, or another one far enough from the goal where a plane is too near to it."""
+        """The start, or another one far enough from the goal where a plane is too near to it.
+
+        Where the planes are near all of these for a moment, it is the one that they leave most room, if not too little.
+        """
         keep_out = self.config.plane_keep_out
         if (np.linalg.norm(planes - start, axis=1) >= keep_out).all():
             return start
         places = place.candidates + place.origin
-        apart = np.linalg.norm(places[:, None] - planes, axis=-1).min(1) >= keep_out
-        far = np.linalg.norm(places - goal, axis=1) >= self.config.min_goal_distance
-        if not (apart & far).any():
+        places = places[np.linalg.norm(places - goal, axis=1) >= self.config.min_goal_distance]
+        room = np.linalg.norm(places[:, None] - planes, axis=-1).min(1)
+        if (room >= keep_out).any():
+            return places[rng.choice(np.flatnonzero(room >= keep_out))]
+        if room.max(initial=0.0) < CROWDED * keep_out:
             raise UavrlError(
                 f"A start needs {keep_out} m to {pluralize(len(planes), 'plane')}, but no free place of the valley of "
-                f"seed {place.seed} has that; lower plane_keep_out or planes."
+                f"seed {place.seed} has even {CROWDED:.0%} of that; lower plane_keep_out or planes."
             )
-        return places[rng.choice(np.flatnonzero(apart & far))]
+        return places[room.argmax()]
 
     def ground_height(self, xy: np.ndarray) -> np.ndarray:
         """Returns the floor's height ``[N]`` in metres at ``xy [N, 2]`` in the world, in the nearest place."""
