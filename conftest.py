@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import logging
 import os
 import shutil
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from _pytest.faulthandler import fault_handler_stderr_fd_key
 
 from tests.helpers.commands import TINY, in_process
 
@@ -21,6 +23,15 @@ if TYPE_CHECKING:
     from uavrl.envs.rules import WorldRules
 
 _VALLEYS: dict[str, Place] = {}
+os.environ.setdefault("BATCHED_PIPE_TIMEOUT", "300")  # s that TorchRL waits for an environment in another process
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_exception_interact(node: pytest.Item | pytest.Collector) -> None:
+    """Pytest ends its watch over a test at the first failure: what comes after it, and further tries, can hang, too."""
+    seconds = float(node.config.getini("faulthandler_timeout") or 0.0)
+    if seconds and isinstance(node, pytest.Item) and not node.config.getoption("usepdb"):
+        faulthandler.dump_traceback_later(seconds, exit=True, file=node.config.stash[fault_handler_stderr_fd_key])
 
 
 @pytest.fixture(scope="session", autouse=True)

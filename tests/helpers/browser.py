@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 
@@ -15,10 +16,10 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 CHROMEDRIVER = shutil.which("chromedriver")
 
 
-_SECONDS = 240  # that a page or a script may take: without a graphics card, and on a busy machine
+_SECONDS = 120  # that a page or a script may take: without a graphics card, and on a busy machine
 _FLAGS = (
     "headless no-sandbox disable-gpu disable-quic no-first-run disable-background-networking disable-component-update "
-    "disable-sync use-angle=swiftshader enable-unsafe-swiftshader"
+    "disable-sync disable-dev-shm-usage use-angle=swiftshader enable-unsafe-swiftshader"
 )
 
 
@@ -34,13 +35,22 @@ def browser(profile: Path, size: str) -> Iterator[Any]:
     for flag in [*_FLAGS.split(), f"window-size={size}", f"user-data-dir={profile}"]:
         options.add_argument(f"--{flag}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(CHROMEDRIVER))
-    try:
-        driver.set_script_timeout(_SECONDS)
-        driver.command_executor.client_config.timeout = _SECONDS + 20
-        yield driver
-    finally:
-        driver.quit()
+    from urllib3 import Retry
+
+    with patch.object(Retry, "DEFAULT", Retry(0)):  # else a browser that hangs is waited for four times
+        service = webdriver.ChromeService(CHROMEDRIVER)
+        driver = webdriver.Chrome(options=options, service=service)
+        waited = driver.command_executor.client_config
+        try:
+            driver.set_script_timeout(_SECONDS)
+            waited.timeout = _SECONDS + 20
+            yield driver
+        finally:
+            waited.timeout = 20
+            try:
+                driver.quit()
+            finally:
+                service.process.kill()
 
 
 def open_page(driver: Any, page: Path, ready: str) -> None:

@@ -48,7 +48,7 @@ def _kept(name: str) -> Iterator[tuple[Path, bool]]:
     """The place of what has a name, and whether it is there; one process at a time makes it."""
     place = _folder() / hashlib.sha256(name.encode()).hexdigest()[:16]
     done = place / "done"
-    with FileLock(f"{place}.lock"):
+    with FileLock(f"{place}.lock", timeout=600):
         if not done.exists():
             shutil.rmtree(place, ignore_errors=True)
             place.mkdir()

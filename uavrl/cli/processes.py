@@ -6,9 +6,10 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from uavrl.cli.logs import configure_logging
@@ -73,9 +74,15 @@ def as_complete(
         UavrlError: with the sentence of a process, after the name, where it has one; or with ``killed``.
     """
     pending = {name: list(each) for name, each in futures.items()}
+    done: SimpleQueue[Future[Any]] = (
+        SimpleQueue()
+    )  # `wait` would hold the futures' locks, which a signal can leave held
+    for each in pending.values():
+        for future in each:
+            future.add_done_callback(done.put)
     while pending:
-        waited = [future for each in pending.values() for future in each if not future.done()]
-        wait(waited, timeout=EVERY, return_when=FIRST_COMPLETED)
+        with suppress(Empty):
+            done.get(timeout=EVERY)
         meanwhile()
         for name, each in list(pending.items()):
             try:

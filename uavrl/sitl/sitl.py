@@ -185,7 +185,8 @@ class Sitl:
 
     def _is_over(self, now: float) -> bool:
         """Whether the episode has ended and the vehicle has lingered; refuses to wait for ever."""
-        if self._wanted is None and not self._lockstep and now > self._patience:
+        waited = max(now, time.monotonic() - self._begun)  # its clock may go slower, or faster
+        if self._wanted is None and not self._lockstep and waited > self._patience:
             slow = f" {TOO_SLOW}" if self._speed * self._share_held() < HELD else ""
             raise UavrlError(f"No companion took control within {self._patience:g} s: {self._who_flies()}.{slow}")
         return self._ended is not None and now >= self._ended + self._linger

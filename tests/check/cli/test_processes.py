@@ -8,13 +8,13 @@ import signal
 import sys
 import time
 from pathlib import Path
-from subprocess import PIPE, Popen
+from subprocess import PIPE
 from typing import Any
 
 import pytest
 
 from tests.helpers.commands import VALLEY, in_process
-from tests.helpers.signals import HEARING
+from tests.helpers.signals import hearing
 from uavrl.cli.evaluate import main as evaluate
 
 FEW = [*VALLEY, "num_uavs=2", "progress=false"]
@@ -92,14 +92,13 @@ def test_an_evaluation_that_is_stopped_leaves_no_process_and_no_file(
     (tmp_path / "failing.py").write_text(FAILS.replace("HERE", "True").replace("AT_ONCE", "open('flies', 'w').close()"))
     where = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *filter(None, sys.path)])}
     command = [sys.executable, "-m", "uavrl.cli.evaluate", *ENDLESS, "valleys=[3]"]
-    with Popen([*HEARING, *command], cwd=tmp_path, env=where, stdout=PIPE, stderr=PIPE, text=True) as process:
+    with hearing(command, cwd=tmp_path, env=where, stdout=PIPE, stderr=PIPE, text=True) as process:
+        deadline = time.monotonic() + 300
         while not (tmp_path / "flies").exists():
             assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
             time.sleep(0.1)
         process.send_signal(number)
-        try:
-            out, err = process.communicate(timeout=60)
-        finally:
-            process.kill()
+        out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (code, "", "uavrl: stopped.\n")
     assert sorted(each.name for each in tmp_path.iterdir() if each.suffix != "") == ["failing.py"]

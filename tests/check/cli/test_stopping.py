@@ -6,15 +6,14 @@ import os
 import shutil
 import signal
 import sys
-from functools import partial
 from pathlib import Path
-from subprocess import PIPE, Popen
+from subprocess import PIPE
 
 import pytest
 
 from tests.helpers.commands import in_process
 from tests.helpers.runs import SMALL, assert_same_run, small_config
-from tests.helpers.signals import HEARING
+from tests.helpers.signals import hearing
 from uavrl.cli import train as train_command
 from uavrl.runs.checkpoint import how_to_go_on, rotation
 from uavrl.runs.episodes import Episode, read_episodes
@@ -172,14 +171,11 @@ def test_a_suite_that_is_ended_leaves_nothing_behind(
     script = tmp_path / "suite.py"
     script.write_text(SUITE, encoding="utf-8")
     told = [str(int(number))] if in_another_thread else []
-    with Popen([*HEARING, sys.executable, script, *told], stdout=PIPE, stderr=PIPE, text=True) as process:
+    with hearing([sys.executable, script, *told], stdout=PIPE, stderr=PIPE, text=True) as process:
         assert process.stdout is not None and process.stdout.readline() == "begun\n"
         if not in_another_thread:
             process.send_signal(number)
-        try:
-            _, err = process.communicate(timeout=60)  # ends when all that hold the pipe have ended
-        finally:
-            process.kill()  # which ended long ago, unless it has missed its signal: else this would wait for 20 minutes
+        _, err = process.communicate(timeout=60)  # ends when all that hold the pipe have ended
     assert (process.returncode, err) == (code, "uavrl: stopped.\n"), "leaked semaphores were warned of"
 
 
@@ -204,9 +200,9 @@ with command_process():
 def test_a_command_whose_terminal_is_closed_cleans_up_and_exits_with_129(at_the_end: str, tmp_path: Path) -> None:
     script, (ours, theirs) = tmp_path / "command.py", os.openpty()
     script.write_text(ON_A_TERMINAL.replace("AT_THE_END", at_the_end), encoding="utf-8")
-    begun = partial(Popen[bytes], [*HEARING, sys.executable, script], cwd=tmp_path, start_new_session=True)
     buffered = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    with begun(env=buffered, stdin=theirs, stdout=theirs, stderr=theirs) as process:
+    where = {"cwd": tmp_path, "start_new_session": True, "env": buffered}
+    with hearing([sys.executable, script], **where, stdin=theirs, stdout=theirs, stderr=theirs) as process:
         os.close(theirs)
         shown = b""
         while b"begun" not in shown:

@@ -74,7 +74,7 @@ def test_it_is_installed_and_flies_in_an_empty_environment(tmp_path: Path) -> No
     folder, environment = exported(tmp_path, "algo.hidden=[16,8]"), tmp_path / "empty"
     subprocess.run([sys.executable, "-m", "venv", environment], check=True)
     python = environment / "bin/python"
-    install = [python, "-m", "pip", "install", "--quiet", "--no-compile", "-c", ROOT / "constraints.txt"]
+    install = [python, "-m", "pip", "install", "--quiet", "--retries=1", "--timeout=30", "-c", ROOT / "constraints.txt"]
     done = subprocess.run([*install, f"{ROOT / 'onboard'}[all]"], capture_output=True, text=True, check=False)
     if "No matching distribution" in done.stderr or "Connection" in done.stderr:
         pytest.skip("needs a package index")

@@ -40,11 +40,11 @@ axe.run(document, {runOnly: tags, rules}).then(
 LOADED = "document.readyState == 'complete'"
 
 
-@pytest.fixture(scope="module")
-def driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+@pytest.fixture
+def driver(tmp_path: Path) -> Iterator[Any]:
     if AXE is None:
         pytest.skip("needs axe: pip install axe-core-python")
-    with browser(tmp_path_factory.mktemp("browser"), "1280,720") as opened:
+    with browser(tmp_path, "1280,720") as opened:
         yield opened
 
 

@@ -26,7 +26,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         text=True,
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": found},
-        timeout=1800,
+        timeout=800,
     )
     assert built.returncode == 0, built.stderr[-3000:]
     return folder / "html"

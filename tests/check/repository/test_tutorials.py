@@ -38,7 +38,7 @@ def test_it_runs(name: str, tmp_path: Path) -> None:
     found = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, **SMALL[name], "MPLBACKEND": "agg", "PYTHONPATH": found, "TMPDIR": str(tmp_path)}
     script = [sys.executable, "-W", "error::FutureWarning", TUTORIALS / f"{name}.py"]
-    done = subprocess.run(script, capture_output=True, text=True, cwd=TUTORIALS, env=environment, timeout=900)
+    done = subprocess.run(script, capture_output=True, text=True, cwd=TUTORIALS, env=environment, timeout=800)
     assert done.returncode == 0, done.stderr
     assert SAYS[name] in done.stdout
     assert "conflicting batch_sizes" not in done.stderr

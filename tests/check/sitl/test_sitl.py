@@ -19,7 +19,7 @@ import torch
 
 from tests.helpers.commands import VALLEY
 from tests.helpers.measured import measured
-from tests.helpers.signals import HEARING
+from tests.helpers.signals import hearing
 from tests.helpers.sitl import Ground, Scripted, fly, running
 from tests.helpers.valleys import NEAR, SMALL
 from uavrl.config import compose, validate
@@ -95,14 +95,16 @@ def test_a_command_plays_a_task_and_says_how_it_went(tmp_path: Path) -> None:
     lidar, autopilot = ground.addresses
     options = [f"lidar={lidar}", f"autopilot={autopilot}", f"json={told}", "linger=0.2"]
     command = [sys.executable, "-m", "uavrl.cli.sitl", *VALLEY, "env.world.obstacles=0", *options]
-    with closing(ground), subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with closing(ground), hearing(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         introduced = process.stdout.readline()
         task = json.loads(told.read_text())
         assert task["outcome"] is None and f"goal=[{task['goal'][0]:g}," in introduced
         with Autopilot(autopilot, set_mode=True) as link:
+            deadline = time.monotonic() + 200
             while process.poll() is None:
                 now = time.monotonic()
+                assert now < deadline
                 link.receive(now)
                 pose = link.pose()
                 ahead = np.zeros(4)
@@ -127,8 +129,8 @@ def test_a_signal_ends_it_with_what_came_of_it(tmp_path: Path, number: int, code
     options = [f"lidar={ground.addresses[0]}", f"autopilot={ground.addresses[1]}", f"json={told}"]
     command = [sys.executable, "-m", "uavrl.cli.sitl", *VALLEY, *options]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with closing(ground), subprocess.Popen([*HEARING, *command], **pipes) as process:  # type: ignore[call-overload]
-        process.stdout.readline()
+    with closing(ground), hearing(command, **pipes) as process:
+        assert process.stdout is not None and process.stdout.readline()
         time.sleep(0.5)
         process.send_signal(number)
         _, errors = process.communicate(timeout=20)
@@ -147,8 +149,11 @@ def test_in_lockstep_it_is_the_environment_bit_by_bit() -> None:
     env.set_seed(5)
     seen: list[np.ndarray] = []
 
+    begun: list[np.ndarray] = []
+
     class Watched(LiveEpisode):
         def step(self, command: np.ndarray) -> None:
+            begun.append(command)
             super().step(command)
             seen.append(env.simulation.position[0].copy())
 
@@ -158,7 +163,8 @@ def test_in_lockstep_it_is_the_environment_bit_by_bit() -> None:
         while thread.is_alive():
             now, flown = time.monotonic(), len(seen)
             link.receive(now)
-            link.send(actions[min(flown, 11)], now)
+            if len(begun) == flown:  # else a late copy would be obeyed in the next step
+                link.send(actions[min(flown, 11)], now)
             while thread.is_alive() and len(seen) == flown and time.monotonic() < now + 0.3:
                 time.sleep(0.001)
     np.testing.assert_array_equal(seen, places)

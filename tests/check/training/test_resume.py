@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 
 from tests.helpers.commands import DEFAULT_VALLEY
 from tests.helpers.runs import ABR, FORK_AND_LIFEGUARD, SAC, SMALL, assert_same_run, contents, small_config
-from tests.helpers.signals import HEARING
+from tests.helpers.signals import hearing
 from uavrl.buffers import GatheringStorage
 from uavrl.errors import UavrlError
 from uavrl.pretraining import read_states
@@ -193,16 +193,13 @@ def test_states_kept_frame_by_frame_teach_the_same(tmp_path: Path, monkeypatch: 
 
 def test_a_stopped_run_says_how_to_go_on_and_leaves_nothing(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "uavrl.cli.train", *SMALL, "trainer.episodes=5000", f"run_dir={tmp_path / 'run'}"]
-    process = subprocess.Popen([*HEARING, *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        deadline = time.monotonic() + 600
+    with hearing(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 400
         while len(rotation(tmp_path / "run").checkpoints() if (tmp_path / "run").exists() else ()) < 2:
             assert time.monotonic() < deadline
             time.sleep(0.05)
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=600)
-    finally:
-        process.kill()
+        _, err = process.communicate(timeout=400)
     assert process.returncode == 130
     (told,) = [line for line in err.splitlines() if "are still being built" not in line]  # as they are at times
     assert told.startswith("uavrl: stopped after episode ") and f"uavrl-train resume={tmp_path / 'run'}" in told

@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from tests.helpers.runs import SMALL, small_config
-from tests.helpers.signals import HEARING
+from tests.helpers.signals import hearing
 from uavrl.config import validate
 from uavrl.errors import FlyingEnded, ValidationFailed
 from uavrl.losses.networks import NetworkSizes, make_actor
@@ -112,8 +112,7 @@ def test_no_process_outlives_a_run_that_is_stopped(tmp_path: Path, number: signa
     run = tmp_path / "run"
     more = ["collector=async", *UNSEEN, "validation.tasks=2000", "trainer.episodes=500000", f"run_dir={run}"]
     command = [sys.executable, "-m", "uavrl.cli.train", *SMALL, *more]
-    process = subprocess.Popen([*HEARING, *command], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    try:
+    with hearing(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 300
         while len(children(process.pid)) < 3:  # the collector's worker, the validation, Python's resource tracker
             assert time.monotonic() < deadline and process.poll() is None
@@ -122,8 +121,6 @@ def test_no_process_outlives_a_run_that_is_stopped(tmp_path: Path, number: signa
         family = children(process.pid)
         process.send_signal(number)
         _, said = process.communicate(timeout=300)
-    finally:
-        process.kill()
     assert process.returncode == (130 if number == signal.SIGINT else -9)
     if number == signal.SIGINT:  # nobody can clean up, or be silenced, after a SIGKILL
         assert "Traceback" not in said and "leaked" not in said

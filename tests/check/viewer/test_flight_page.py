@@ -22,9 +22,10 @@ from uavrl_onboard.flight.logged_flight import LoggedFlight
 pytestmark = measured
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    page = tmp_path_factory.mktemp("browser") / "page.html"
+@pytest.fixture
+def browser(tmp_path: Path) -> Iterator[Any]:
+    page = tmp_path / "browser" / "page.html"
+    page.parent.mkdir()
     recording = small_recording()
     write_page(replace(recording, source={**recording.source, "training_steps": 12_345}), page)
     with browser_with(page) as driver:
