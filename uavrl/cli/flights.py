@@ -199,10 +199,10 @@ def in_processes(
     """
     ended = counter()
     killed = f"A process that was flying was killed, often for want of memory: {again}"
-    with processes(max(1, min(most, sum(map(len, jobs.values())))), ended, threads=threads) as pool:
+    with processes(max(1, min(most, sum(map(len, jobs.values())))), killed, ended, threads=threads) as pool:
         with interrupts_held_back():
             futures = {name: [pool.submit(_fly, job) for job in each] for name, each in jobs.items()}
-        for name, shares in as_complete(futures, lambda: line.set(value_of(ended)), killed):
+        for name, shares in as_complete(futures, lambda: line.set(value_of(ended))):
             complete(name, shares)
 
 

@@ -22,20 +22,25 @@ _counters: list[Any] = []  # of a process that flies, the one of tasks that have
 
 
 @contextmanager
-def processes(count: int, ended: Any = None, *, threads: int = 1) -> Iterator[ProcessPoolExecutor]:
+def processes(count: int, killed: str, ended: Any = None, *, threads: int = 1) -> Iterator[ProcessPoolExecutor]:
     """So many processes, which end with this one, and at once on an error and on Ctrl-C.
 
     They count the tasks that have ended in ``ended``, a shared integer, and compute with ``threads`` threads each,
     unless the environment of the command says otherwise.
+
+    Raises:
+        UavrlError: with the sentence ``killed``, when one of them was killed.
     """
     given = os.environ.get(THREADS)
     os.environ.setdefault(THREADS, str(threads))
     pool = ProcessPoolExecutor(count, SPAWN, _begin, (ended,))
     try:
         yield pool
-    except BaseException:
+    except BaseException as error:
         for process in multiprocessing.active_children():
             process.kill()
+        if isinstance(error, BrokenProcessPool):
+            raise UavrlError(killed) from error
         raise
     finally:
         pool.shutdown(cancel_futures=True)
@@ -61,23 +66,22 @@ def count_task() -> None:
 
 
 def as_complete(
-    futures: Mapping[str, Sequence[Future[Any]]], meanwhile: Callable[[], None], killed: str
+    futures: Mapping[str, Sequence[Future[Any]]], meanwhile: Callable[[], None]
 ) -> Iterator[tuple[str, list[Any]]]:
     """Yield each name with the results of its futures when all of these are there; the first error ends all.
 
     Args:
         futures: of a pool of :func:`processes`, by the name of what they make together.
         meanwhile: called at each look.
-        killed: what a user reads when a process was killed.
 
     Raises:
-        UavrlError: with the sentence of a process, after the name, where it has one; or with ``killed``.
+        UavrlError: with the sentence of a process, after the name, where it has one.
+        BrokenProcessPool: when a process was killed.
     """
+    flying = multiprocessing.active_children()
     pending = {name: list(each) for name, each in futures.items()}
-    done: SimpleQueue[Future[Any]] = (
-        SimpleQueue()
-    )  # `wait` would hold the futures' locks, which a signal can leave held
-    for each in pending.values():
+    done = SimpleQueue[Future[Any]]()
+    for each in pending.values():  # `concurrent.futures.wait` takes the futures' locks, which a signal can leave taken
         for future in each:
             future.add_done_callback(done.put)
     while pending:
@@ -87,13 +91,14 @@ def as_complete(
         for name, each in list(pending.items()):
             try:
                 found = [future.result() for future in each if future.done()]
-            except BrokenProcessPool as error:
-                raise UavrlError(killed) from error
             except UavrlError as error:
                 raise UavrlError(f"{name}: {error}" if name else str(error)) from error
             if len(found) == len(each):
                 del pending[name]
                 yield name, found
+        if pending and any(process.exitcode for process in flying):
+            # The pool itself overlooks the end of a process that it started while its thread began to wait.
+            raise BrokenProcessPool("A process has ended that had something to do.")
 
 
 def _begin(ended: Any) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from subprocess import PIPE
 from typing import Any
@@ -16,6 +18,8 @@ import pytest
 from tests.helpers.commands import VALLEY, in_process
 from tests.helpers.signals import hearing
 from uavrl.cli.evaluate import main as evaluate
+from uavrl.cli.processes import as_complete, processes
+from uavrl.errors import UavrlError
 
 FEW = [*VALLEY, "num_uavs=2", "progress=false"]
 ENDLESS = ["policy=failing.Fails", "packages=[failing]", *FEW, "env.max_steps=1000000", "episodes=4", "processes=2"]
@@ -82,6 +86,26 @@ def test_an_error_of_one_process_ends_the_others(
     assert in_process(evaluate, *ENDLESS, "valleys=[3,4,5]", f"output={output}") == 1
     assert capfd.readouterr().err.endswith(told)
     assert not output.exists() and time.monotonic() - begun < 300
+
+
+def test_the_end_of_a_process_is_noticed_that_the_pool_overlooks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pool's thread lists the processes whose end it waits for, and only then the last process is started."""
+    start = ProcessPoolExecutor._adjust_process_count
+
+    def start_later(pool: ProcessPoolExecutor) -> None:
+        time.sleep(1)
+        start(pool)
+
+    monkeypatch.setattr(ProcessPoolExecutor, "_adjust_process_count", start_later)
+    begun = time.monotonic()
+
+    def look() -> None:
+        assert time.monotonic() - begun < 60, "nobody noticed"
+
+    with pytest.raises(UavrlError, match=r"^It was killed\.$"), processes(2, "It was killed.") as pool:
+        futures = {"": [pool.submit(time.sleep, 600) for _ in range(2)]}
+        max(multiprocessing.active_children(), key=lambda process: process.pid or 0).kill()
+        list(as_complete(futures, look))
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

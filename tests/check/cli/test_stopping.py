@@ -153,12 +153,12 @@ def hear():
     signal.pthread_kill(threading.get_ident(), int(sys.argv[1]))
 
 if __name__ == "__main__":
-    with command_process(), processes(2) as pool:
+    with command_process(), processes(2, "killed") as pool:
         evaluations = [pool.submit(time.sleep, 600) for _ in range(4)]
         if sys.argv[1:]:
             threading.Thread(target=hear, daemon=True).start()
         print("begun", flush=True)
-        list(as_complete({"": evaluations}, lambda: None, "killed"))
+        list(as_complete({"": evaluations}, lambda: None))
 """
 
 
