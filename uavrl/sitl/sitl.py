@@ -76,7 +76,7 @@ class Sitl:
         speed: seconds in a second, or ``"lockstep"``.
         max_steps: steps of 0.1 s until the time is out.
         max_speed: limit of each component of the velocity in m/s.
-        patience: how long to wait for a companion computer, in s.
+        patience: how long to wait for a companion computer, in s of its clock or of real time, whichever is over first.
         linger: seconds of hovering after the end.
         pilot_takes_over: seconds after the first obeyed set-point at which the pilot takes the mode; None: never.
         faults: what goes wrong.
