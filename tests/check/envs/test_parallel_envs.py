@@ -19,7 +19,7 @@ from uavrl.envs.navigation import NavigationEnv
 for module in pkgutil.iter_modules(tests.transforms.__path__, "tests.transforms."):
     importlib.import_module(module.name)
 CONTRACTS = [contract for contract in TransformContract.__subclasses__() if "transforms" in contract.__module__]
-START = "forkserver"  # forks no process whose threads may hold a lock, as this one's may
+START = "forkserver"  # forks a process that has done nothing yet: a thread of this one may hold a lock
 multiprocessing.set_forkserver_preload(["torchrl.envs", "uavrl.envs.navigation", "uavrl.transforms"])
 
 

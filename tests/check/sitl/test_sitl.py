@@ -147,9 +147,8 @@ def test_in_lockstep_it_is_the_environment_bit_by_bit() -> None:
         state = env.step(state.set("action", torch.from_numpy(action)[None]))["next"]
         places.append(env.simulation.position[0].copy())
     env.set_seed(5)
-    seen: list[np.ndarray] = []
-
     begun: list[np.ndarray] = []
+    seen: list[np.ndarray] = []
 
     class Watched(LiveEpisode):
         def step(self, command: np.ndarray) -> None:
