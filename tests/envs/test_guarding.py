@@ -33,8 +33,26 @@ def test_they_know_what_the_lidar_sees() -> None:
 
 @pytest.mark.parametrize("lidar", [{}, {"sensor": "d435", "far_range": 12.0}])
 def test_a_lidar_that_does_not_reach_is_refused(lidar: dict[str, object]) -> None:
-    with pytest.raises(UavrlError, match=r"guards\.map\.sight=12 looks farther than the LiDAR, which reaches (4|10) m"):
+    told = r"guards\.map\.sight=12 and guards\.evasion\.sight=12 look farther than the LiDAR, which reaches (4|10) m: "
+    with pytest.raises(
+        UavrlError, match=told + r"write guards\.map\.sight=(4|10) guards\.evasion\.sight=(4|10),"
+    ):
         guarded(env(**lidar), guard_settings("all"))
+
+
+def test_a_camera_that_looks_ahead_is_told_to_fly_without_evasion(caplog: pytest.LogCaptureFixture) -> None:
+    camera, near = env(sensor="d435", far_range=10.0), {"map": {"sight": 10.0}}
+    guarded(camera, guard_settings(["map", "shield", near]))
+    assert not caplog.messages
+    guarded(camera, guard_settings(["all", near, {"evasion": {"sight": 10.0}}]))
+    (told,) = caplog.messages
+    assert told.startswith("The LiDAR d435 does not look all around") and told.endswith("by guards=[map,shield].")
+
+
+def test_a_lidar_of_one_layer_flies_with_all_guards() -> None:
+    base = env(sensor="rplidar", far_range=12.0)
+    flown = TransformedEnv(base, guarded(base, guard_settings("all"))).rollout(3)
+    assert flown["action"].isfinite().all()
 
 
 def test_gymnasium_s_environment_lets_its_lidar_reach_as_far_as_cells_and_guards() -> None:

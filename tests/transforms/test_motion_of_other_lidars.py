@@ -16,7 +16,7 @@ from tests.helpers.moving import Vehicle as Flight
 from uavrl import load_policy
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import Lidar, LidarConfig
-from uavrl.envs.sensors import SENSORS
+from uavrl.envs.sensors import SENSORS, LidarSensor
 from uavrl.transforms import Guarded, MovingObjects, NavigationState
 from uavrl.transforms.motion import searched_alone
 from uavrl_onboard.perception.motion import MotionSight
@@ -51,6 +51,27 @@ def test_what_stands_is_not_reported(name: str, lidar: Lidar) -> None:
 def test_what_moves_is(name: str, lidar: Lidar) -> None:
     way = straight((8.0, 0.5, 0.3), 3.5, math.pi, 12)
     seen = Flight().seen(lidar, way, pattern=pattern_of(name))[8:]
+    errors = np.linalg.norm(seen[:, 0, :3] - np.array(way)[8:, 0, :3], axis=-1)
+    assert (seen[:, 0, 6] > 0.3).all() and (errors < 1.0).all(), errors
+
+
+class Level(Flight):
+    """Flies on level."""
+
+    velocity = np.array([1.5, 0.4, 0.0])
+
+    def at(self, step: int) -> tuple[np.ndarray, np.ndarray]:
+        return self.velocity * 0.1 * step, np.zeros(3)
+
+
+@pytest.mark.parametrize("sensor", ["rplidar", LidarSensor("two", elevations=(0.0, 2.5), azimuth_steps=1800)])
+def test_one_layer_of_beams_or_two_see_move_what_moves_and_not_what_stands(sensor: str | LidarSensor) -> None:
+    lidar = Lidar(valley(), BODY, LidarConfig(max_range=4.0, far_range=12.0, sensor=sensor, range_noise=0.0))
+    device = lidar.config.device
+    pattern = ScanPattern(*device.field_of_view[2:], repeats=device.repeats)
+    assert not Flight().seen(lidar, [np.zeros((0, 4))] * 30, pattern=pattern).any()
+    way = straight((8.0, 0.5, 0.0), 3.5, math.pi, 12)
+    seen = Level().seen(lidar, way, pattern=pattern)[8:]
     errors = np.linalg.norm(seen[:, 0, :3] - np.array(way)[8:, 0, :3], axis=-1)
     assert (seen[:, 0, 6] > 0.3).all() and (errors < 1.0).all(), errors
 

@@ -1,5 +1,6 @@
 """Guards around a simulated vehicle: they know its hull and limits, and what its LiDAR sees."""
 
+import logging
 from dataclasses import replace
 
 from uavrl.envs.lidar import LidarConfig
@@ -7,6 +8,8 @@ from uavrl.envs.navigation import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.transforms.guarded import Guarded
 from uavrl_onboard.guards.settings import GuardSettings
+
+log = logging.getLogger(__name__)
 
 
 def far_seeing(lidar: LidarConfig, *sights: float | None) -> LidarConfig:
@@ -37,16 +40,23 @@ def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
         0.9
     """
     lidar = base.lidar_config
-    for name in ("map", "evasion"):
-        sight = 0.0 if (guard := getattr(guards, name)) is None else guard.sight
-        if sight > lidar.farthest:
-            raise UavrlError(
-                f"guards.{name}.sight={sight:g} looks farther than the LiDAR, which reaches {lidar.farthest:g} m: "
-                f"raise the LiDAR's far_range or choose another LiDAR, or lower guards.{name}.sight."
-            )
+    device = lidar.device
+    if guards.evasion is not None and device.field_of_view[:2] != (-180.0, 180.0):
+        log.warning(
+            "The LiDAR %s does not look all around, so what stands seems to move when it turns: leave evasion out, for "
+            "example by guards=[map,shield].",
+            device.name,
+        )
+    sights = {name: guard.sight for name in ("map", "evasion") if (guard := getattr(guards, name)) is not None}
+    if too_far := {name: sight for name, sight in sights.items() if sight > lidar.farthest}:
+        found = " and ".join(f"guards.{name}.sight={sight:g}" for name, sight in too_far.items())
+        lower = " ".join(f"guards.{name}.sight={lidar.farthest:g}" for name in too_far)
+        raise UavrlError(
+            f"{found} {'look' if len(too_far) > 1 else 'looks'} farther than the LiDAR, which reaches "
+            f"{lidar.farthest:g} m: write {lower}, raise the LiDAR's far_range, or choose another LiDAR."
+        )
     if guards.shield is not None and guards.shield.nearest is None:
         guards = replace(guards, shield=replace(guards.shield, nearest=lidar.nearest))
     vehicle = base.airframe.vehicle(base.world_config.flight_level, base.max_speed)
-    device = lidar.device
     vehicle = replace(vehicle, lidar_elevations=device.field_of_view[2:], lidar_repeats=device.repeats)
     return Guarded(guards, vehicle=vehicle)

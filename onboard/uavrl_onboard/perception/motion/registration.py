@@ -61,7 +61,13 @@ def point_images(seen: Returns, count: int, grid: Grid, cells: CellIndices | Non
 
 
 def sample(images: np.ndarray, count: int = SAMPLES) -> Samples:
-    """``count`` points of ``images [3, N, rows, columns]``, spread evenly, with normals from the cells around them."""
+    """``count`` points of ``images [3, N, rows, columns]``, spread evenly, with normals from the cells around them.
+
+    The scans of a sensor with one layer of beams, in two rows, have no normals, so nothing is found in them.
+    """
+    if images.shape[2] < 3:
+        nothing = np.zeros((images.shape[1], 3, count), np.float32)
+        return Samples(nothing, nothing, np.zeros(images.shape[1], np.int64))
     middle = np.arange(0, images.shape[-1], THINNED)
     inner = images[:, :, 1:-1]
     left, right = (inner.take((middle + side) % images.shape[-1], axis=-1) for side in (-1, 1))
