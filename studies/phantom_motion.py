@@ -16,7 +16,7 @@ from uavrl import load_policy
 from uavrl.transforms.guarded import Guarded
 from uavrl_onboard.cli.process import one_sentence
 
-SENSORS = ("vlp16", "os0_32", "os0_128", "os1_64", "xt32", "mid360")
+SENSORS = ("vlp16", "os0_32", "os0_128", "os1_64", "xt32", "mid360", "rplidar")
 WORLDS = ("static", "rooms")
 
 
@@ -24,7 +24,7 @@ def phantoms(world: str, sensor: str, vehicles: int, steps: int) -> int:
     """In how many scans of several vehicles something is reported to move."""
     policy = load_policy("best")
     changes = (f"env={world}", "randomize=none", f"env.lidar={sensor}")
-    env = policy.make_env(*changes, num_uavs=vehicles, valleys=[100], guards="all")
+    env = policy.make_env(*changes, num_uavs=vehicles, valleys=[100], guards="all", allow_unseen=True)
     try:
         state = env.reset()
         guards = next(part for part in env.transform.modules() if isinstance(part, Guarded))
