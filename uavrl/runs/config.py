@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from uavrl.errors import UavrlError
+from uavrl.runs.directions import by_content, use_kept_directions
 from uavrl.runs.names import CONFIG
 
 # What may differ between a run and its continuation: none of it changes what is learned.
@@ -34,6 +35,8 @@ def fingerprint(config: DictConfig) -> str:
         node = OmegaConf.select(plain, parent) if parent else plain
         if isinstance(node, DictConfig) and leaf in node:
             del node[leaf]
+    assert isinstance(plain, DictConfig)
+    by_content(plain)
     text = json.dumps(OmegaConf.to_container(plain), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -54,6 +57,7 @@ def read_config(run_dir: Path) -> DictConfig:
         raise UavrlError(f"{path} is damaged: {' '.join(str(error).split())[:300]}.") from error
     if "algo" not in config:
         raise UavrlError(f"Expected the configuration of a run in {path}, but the file contains something else.")
+    use_kept_directions(config, run_dir)
     return config
 
 

@@ -12,5 +12,6 @@ PRETRAINED = "pretrained"  # a folder: the artifact that uavrl-pretrain made of 
 LOGS = "logs"  # a folder: what the logger writes
 LOCK, HOLDER = ".lock", ".holder.json"  # who trains here, and a sign of life
 BEGUN = ".begun"  # the mark of a run folder: what has it was made by a training, and may be cleared before a checkpoint
+DIRECTIONS = ("lidar_directions.csv", "lidar_directions.npy", "lidar_directions.txt")  # one: the rays of an own LiDAR
 # What a training reads or writes.
-TRAINING = (CONFIG, EPISODES, SUMMARY, CHECKPOINTS, ARTIFACT, LOGS, LOCK, HOLDER, BEGUN)
+TRAINING = (CONFIG, EPISODES, SUMMARY, CHECKPOINTS, ARTIFACT, LOGS, LOCK, HOLDER, BEGUN, *DIRECTIONS)

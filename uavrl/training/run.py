@@ -21,6 +21,7 @@ from uavrl.config.settings import TrainConfig
 from uavrl.errors import FlyingEnded, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import checkpoint_to_resume, how_to_go_on, restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
+from uavrl.runs.directions import keep_directions
 from uavrl.runs.interrupts import Stop, stoppable
 from uavrl.runs.lock import run_lock
 from uavrl.runs.names import ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
@@ -54,6 +55,7 @@ def create_run(config: DictConfig) -> Path:
             refuse_a_run(run_dir, config.packages)
             reset_unstarted_run(run_dir)
             (run_dir / BEGUN).touch()
+            keep_directions(config, run_dir)
             _write(config, run_dir)
     except OSError as error:
         raise UavrlError(
