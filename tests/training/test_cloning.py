@@ -162,3 +162,11 @@ def test_it_needs_a_demonstrator(tmp_path: Path) -> None:
     config = small_config(tmp_path / "run", "cloning=dagger")
     with pytest.raises(UavrlError, match=r"demonstrator must be a scripted controller, such as vfh, which cloning=dag"):
         build_trainer(validate(config), config, create_run(config))
+
+
+def test_a_phase_without_a_single_update_is_refused() -> None:
+    with pytest.raises(
+        UavrlError, match=r"cloning\.updates_per_step=0\.01 makes no update in 60 steps, so nothing would"
+    ):
+        Cloning(make_loss(), 2.0, steps=60, updates_per_step=0.01)
+    assert Cloning(make_loss(), 2.0, steps=100, updates_per_step=0.01).due(100) == 1

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import check_env_specs
 
 from tests.helpers.configs import composed
@@ -24,7 +25,7 @@ from uavrl.training.progress import warn_of_late_learning
 from uavrl.training.run import create_run, train
 from uavrl.transforms import Mirror
 from uavrl.transforms.composition import inner_transforms
-from uavrl.transforms.demonstrator import DemonstratorEnv
+from uavrl.transforms.demonstrator import Demonstrator, DemonstratorEnv
 
 
 class Calm(ActorPenalty):
@@ -156,3 +157,40 @@ def test_the_action_rate_asks_for_states_that_end_with_the_last_action() -> None
     seen = validate(composed("config", "smoothness=action_rate", "perception.last_action=true"))
     loss = make_loss(seen, make_actor(seen, sizes), sizes, cpu)
     assert isinstance(loss, ActionRate) and (loss.actions, loss.limit) == (4, 2.0)
+
+
+def wide(tensordict: TensorDictBase) -> TensorDictBase:
+    return tensordict.set("action", torch.zeros(*tensordict.batch_size, 6))
+
+
+def lost(tensordict: TensorDictBase) -> TensorDictBase:
+    return tensordict.set("action", torch.full((*tensordict.batch_size, 4), torch.nan))
+
+
+def silent(tensordict: TensorDictBase) -> TensorDictBase:
+    return tensordict
+
+
+def forgotten(tensordict: TensorDictBase) -> None:
+    tensordict["action"] = torch.zeros(*tensordict.batch_size, 4)
+
+
+@pytest.mark.parametrize(
+    ("act", "told"),
+    [
+        (wide, r"got the shape \[2, 6\]"),
+        (lost, "got NaN or infinity"),
+        (silent, "got nothing of that name; forward must set it"),
+        (forgotten, "got nothing of that name; forward must set it"),
+    ],
+)
+def test_a_demonstrator_that_writes_the_wrong_thing_is_named(act: Any, told: str) -> None:
+    with pytest.raises(UavrlError, match=r"^The demonstrator function must write action, .* \[2, 4\], " + told):
+        Demonstrator(act, [], 4)(TensorDict({}, [2]))
+
+
+def test_what_is_learned_from_is_what_can_be_flown() -> None:
+    """Larger actions are cut as the environment cuts them, and are of the policy's precision."""
+    far = Demonstrator(lambda state: state.set("action", torch.tensor([[9, -9, 1, 0]])), [], 4, limit=2.0)
+    acted = far(TensorDict({}, [1]))["demonstrator_action"]
+    assert acted.dtype == torch.float32 and acted.tolist() == [[2.0, -2.0, 1.0, 0.0]]

@@ -285,7 +285,7 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     env = cast(DemonstratorEnv, make_env(*parts, **carried, kind=DemonstratorEnv))
     require_keys(env, [(demonstrator.in_keys, ())], "demonstrator")
     sizes = network_sizes(env)
-    env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions))
+    env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions, sizes.limit))
     env.noise = make_noise(settings, sizes, torch.device("cpu"))
     return env
 

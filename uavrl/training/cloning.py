@@ -10,6 +10,7 @@ from torch import Tensor
 
 from uavrl.buffers.sequences import WEIGHT
 from uavrl.config.schedules import CLONING_STEPS
+from uavrl.errors import UavrlError
 from uavrl.losses import ActorCriticLoss
 from uavrl.losses.imitation import Imitation, action_distance, decayed
 from uavrl.training.compiled import Execution, GradientStep
@@ -41,6 +42,9 @@ class Cloning:
         execution: as in :class:`~uavrl.training.compiled.LossGradients`. Nothing is compiled, which would take a good
             part of so short a phase: large batches spend their time in matrix products.
 
+    Raises:
+        UavrlError: for so few updates that there would be none.
+
     Examples:
         >>> from torchrl.data import Bounded
         >>> from uavrl.losses import TD3Loss
@@ -69,13 +73,17 @@ class Cloning:
         critic_updates: Annotated[int, Field(ge=0, le=10**6)] = 2000,
         execution: Execution = "captured",
     ) -> None:
-        self.loss, self.limit = loss, limit
+        self.loss, self.limit, self.updates = loss, limit, 0
         self.steps = steps or CLONING_STEPS
         self.updates_per_step, self.batch_size = updates_per_step, batch_size
         self.lr, self.final_lr, self.critic_updates = lr, final_lr, critic_updates
+        if self.due(self.steps) < 1:
+            raise UavrlError(
+                f"cloning.updates_per_step={updates_per_step:g} makes no update in {self.steps:,} steps, so nothing "
+                "would be cloned: raise it, or cloning.steps."
+            )
         recorded: Execution = "eager" if execution == "eager" else "captured"
         self.step = GradientStep(self._distance, loss.actor_tensors, lr, recorded, FLOWN_STATES)
-        self.updates = 0
 
     def _distance(self, batch: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         """The mean distance of the actor's action to the demonstrator's, in states ``[B]`` or windows ``[B]``."""

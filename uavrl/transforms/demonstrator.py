@@ -9,6 +9,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Transform
 
 from uavrl.entries import entry
+from uavrl.errors import UavrlError
 from uavrl.policy_protocol import Acts
 from uavrl.shown import Shown
 
@@ -22,16 +23,42 @@ class Demonstrator(Shown, Transform):
         demonstrator: writes ``action`` into a TensorDict with the environment's observations.
         in_keys: what it reads.
         actions: numbers in an action.
+        limit: the largest action, to which larger ones are cut as the environment does it; None: there is none.
+
+    Raises:
+        UavrlError: when called, for a demonstrator that writes no ``action``, or one of another shape or with NaN.
     """
 
-    def __init__(self, demonstrator: Acts, in_keys: Any, actions: int) -> None:
+    def __init__(self, demonstrator: Acts, in_keys: Any, actions: int, limit: float | None = None) -> None:
         super().__init__(in_keys=list(in_keys), out_keys=[DEMONSTRATOR_ACTION])
-        self.demonstrator, self.actions = demonstrator, actions
+        self.demonstrator, self.actions, self.limit = demonstrator, actions, limit
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.in_keys:
             entry(next_tensordict, key, self)
-        return next_tensordict.set(DEMONSTRATOR_ACTION, self.demonstrator(next_tensordict.copy())["action"])
+        acted = self.demonstrator(next_tensordict.copy())
+        action = acted.get("action", None) if isinstance(acted, TensorDictBase) else None
+        self._require_action(action, (*next_tensordict.batch_size, self.actions))
+        assert action is not None
+        kept = (
+            action.to(torch.float32) if self.limit is None else action.to(torch.float32).clamp(-self.limit, self.limit)
+        )
+        return next_tensordict.set(DEMONSTRATOR_ACTION, kept)
+
+    def _require_action(self, action: Any, shape: tuple[int, ...]) -> None:
+        """Refuse what cannot be flown, in the name of who made it."""
+        if not isinstance(action, torch.Tensor):
+            wrong = "nothing of that name; forward must set it in the TensorDict and return that"
+        elif action.shape != shape:
+            wrong = f"the shape {list(action.shape)}"
+        elif not action.isfinite().all():
+            wrong = "NaN or infinity"
+        else:
+            return
+        name = type(self.demonstrator).__name__
+        raise UavrlError(
+            f"The demonstrator {name} must write action, finite numbers of shape {list(shape)}, got {wrong}."
+        )
 
     forward = _call
 
