@@ -34,9 +34,7 @@ def test_they_know_what_the_lidar_sees() -> None:
 @pytest.mark.parametrize("lidar", [{}, {"sensor": "d435", "far_range": 12.0}])
 def test_a_lidar_that_does_not_reach_is_refused(lidar: dict[str, object]) -> None:
     told = r"guards\.map\.sight=12 and guards\.evasion\.sight=12 look farther than the LiDAR, which reaches (4|10) m: "
-    with pytest.raises(
-        UavrlError, match=told + r"write guards\.map\.sight=(4|10) guards\.evasion\.sight=(4|10),"
-    ):
+    with pytest.raises(UavrlError, match=told + r"write guards\.map\.sight=(4|10) guards\.evasion\.sight=(4|10),"):
         guarded(env(**lidar), guard_settings("all"))
 
 

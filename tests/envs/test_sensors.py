@@ -197,6 +197,25 @@ def test_own_sensors_come_from_yaml_and_files_of_directions(tmp_path: Path) -> N
     assert seen.shape == (1, 2, 3)
 
 
+def test_files_as_other_programs_write_them(tmp_path: Path) -> None:
+    (tmp_path / "EXCEL.CSV").write_text("\ufeff0,10\n90,-10\n", encoding="utf-8")
+    (tmp_path / "MINE.YAML").write_text("directions: EXCEL.CSV\nname:\n")
+    mine = lidar_sensor(str(tmp_path / "MINE.YAML"))
+    assert (mine.name, mine.num_rays) == ("MINE", 2)
+    far = lidar_sensor({"directions": _npy(tmp_path / "far.npy", [[1e200, 0.0, 0.0], [0.0, -3e-5, 0.0]])})
+    assert far.rays.directions.tolist() == [[[1, 0, 0], [0, -1, 0]]]
+
+
+@pytest.mark.parametrize("key", ["rate", "max_range", "blind_distance", "range_noise"])
+def test_a_list_where_a_number_belongs_is_refused(key: str) -> None:
+    with pytest.raises(UavrlError, match=rf"{key} must be a finite number, got \(30,\)\."):
+        lidar_sensor({"elevations": [0.0], "azimuth_steps": 10, key: [30]})
+    with pytest.raises(UavrlError, match=r"elevations must be finite numbers, got 5\.0\."):
+        LidarSensor("mine", elevations=5.0, azimuth_steps=10)  # type: ignore[arg-type]
+    with pytest.raises(UavrlError, match=r"max_range must be a finite number, got \[4\]\."):
+        LidarConfig(max_range=[4])  # type: ignore[arg-type]
+
+
 def _npy(path: Path, values: object) -> str:
     with path.open("wb") as file:
         write_array(file, np.asarray(values), allow_pickle=True)
@@ -230,8 +249,8 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
         with pytest.raises(UavrlError, match=told):
             lidar_sensor(given if isinstance(given, str) else {**grid, given[0]: given[1]})
     for path, told in {
-        str(tmp_path / "none.npy"): r"cannot be read \(No such file or directory\)",
-        str(tmp_path / "rays.bin"): r"cannot be read|must be a .csv or an .npy file",
+        str(tmp_path / "none.npy"): r"cannot be read \(No such file or directory\): name a file that",
+        str(tmp_path / "rays.bin"): r"must be a .csv, .txt or .npy file",
         str(tmp_path / "empty.csv"): r"have the shape \[1, 0, 1\] and type float64: rows must be",
         str(tmp_path / "npz.npy"): r"cannot be read \(it is an NPZ file by its content\): rows must be",
         str(tmp_path / "text.csv"): r"cannot be read \(could not convert",
@@ -242,6 +261,9 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
         _npy(tmp_path / "nan.npy", np.full((2, 3), np.nan)): r"hold NaN or infinite values",
         _npy(tmp_path / "zero.npy", np.zeros((2, 3))): r"hold a ray of length 0",
         _npy(tmp_path / "many.npy", np.ones((300_001, 3))): r"are 1 scans of 300,001 rays",
+        _npy(
+            tmp_path / "long.npy", np.ones((201, 2, 3))
+        ): r"are 201 scans of 2 rays; at most 200 scans, 300,000 rays in",
     }.items():
         with warnings.catch_warnings(), pytest.raises(UavrlError, match=told):
             warnings.simplefilter("error")

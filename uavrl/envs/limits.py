@@ -100,15 +100,17 @@ def require_speed(speed: float) -> float:
 
 
 def require_finite(config: object, names: Iterable[str]) -> None:
-    """Refuse a configuration whose attributes, numbers or lists of such, hold anything but finite numbers.
+    """Refuse a configuration whose attributes hold anything but finite numbers, or lists of such where tuples belong.
 
     NumPy's numbers become Python's and lists become tuples, so that two equal configurations compare as equal, and a
     configuration can be written as JSON.
     """
+    types = {each.name: str(each.type) for each in fields(config)}  # type: ignore[arg-type]
     for name in names:
-        value = getattr(config, name)
-        several = isinstance(value, Iterable) and not isinstance(value, str)
-        if not all(isinstance(number, Real) and math.isfinite(number) for number in (value if several else (value,))):
+        value, several = getattr(config, name), "tuple" in types[name]
+        numbers = value if several and isinstance(value, Iterable) and not isinstance(value, str) else (value,)
+        found = all(isinstance(number, Real) and math.isfinite(number) for number in numbers)
+        if not found or (several and numbers is not value):
             raise UavrlError(f"{name} must be {'finite numbers' if several else 'a finite number'}, got {value!r}.")
         object.__setattr__(config, name, tuple(map(_plain, value)) if several else _plain(value))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
@@ -112,6 +113,7 @@ class LidarSensor:
         if (self.directions is None) == (self.elevations is None):
             raise UavrlError(f"The LiDAR {self.name!r} needs one kind of rays: {own}.")
         if self.elevations is None:
+            _forget_if_changed(Path(str(self.directions)))
             rays_of(self)  # which reads the file
             return
         require_finite(self, ("elevations",))
@@ -237,7 +239,7 @@ def lidar_sensor(given: Any) -> LidarSensor:
 
 def sensor_settings(given: Any) -> Any:
     """Return the settings in a YAML file, so that they do not depend on the file any more; anything else as it is."""
-    if not isinstance(given, str) or Path(given).suffix not in (".yaml", ".yml"):
+    if not isinstance(given, str) or Path(given).suffix.lower() not in (".yaml", ".yml"):
         return given
     path = Path(given).expanduser()
     try:
@@ -248,7 +250,7 @@ def sensor_settings(given: Any) -> Any:
         raise UavrlError(f"The LiDAR's file {given} cannot be read ({reason}): check it.") from error
     if not isinstance(settings, Mapping):
         raise UavrlError(f"The LiDAR's file {given} must hold settings such as 'azimuth_steps: 360', and does not.")
-    settings = {"name": path.stem, **settings}
+    settings = {**settings, "name": settings.get("name") or path.stem}
     if isinstance(directions := settings.get("directions"), str):
         settings["directions"] = str((path.parent / Path(directions).expanduser()).resolve())
     return settings
@@ -273,6 +275,19 @@ def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
             f"The name {values['name']} belongs to a LiDAR of uavrl: rename the file, or set another name in it."
         )
     return LidarSensor(**values)
+
+
+_read_before: dict[Path, tuple[int, int]] = {}  # when files of directions had changed, and their sizes
+
+
+def _forget_if_changed(path: Path) -> None:
+    """Read the directions again if their file is another than before."""
+    with suppress(OSError):
+        found = path.stat()
+        now = found.st_mtime_ns, found.st_size
+        if _read_before.setdefault(path, now) != now:
+            _read_before[path] = now
+            rays_of.cache_clear()
 
 
 @lru_cache(maxsize=16)
@@ -367,20 +382,24 @@ def _read(name: str, path: Path) -> np.ndarray:
     """The directions ``[S, R, 3]`` in a file of one's own."""
     told = f"The LiDAR {name!r}: its directions {path}"
     rows = "rows must be x, y, z, or azimuth and elevation in degrees"
+    if (suffix := path.suffix.lower()) not in (".csv", ".txt", ".npy"):
+        raise UavrlError(f"{told} must be a .csv, .txt or .npy file.")
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise UavrlError(f"{told} have more than {_LARGEST_FILE:,} bytes, which no sensor needs: give fewer rays.")
-        if path.suffix == ".npy":
+        size = path.stat().st_size
+    except OSError as error:
+        raise UavrlError(f"{told} cannot be read ({error.strerror}): name a file that is there.") from error
+    if size > _LARGEST_FILE:
+        raise UavrlError(f"{told} have more than {_LARGEST_FILE:,} bytes, which no sensor needs: give fewer rays.")
+    try:
+        if suffix == ".npy":
             found = np.load(path, allow_pickle=False)
             if not isinstance(found, np.ndarray):  # by its content an NPZ file, which stays open
                 found.close()
                 raise ValueError("it is an NPZ file by its content")
-        elif path.suffix in (".csv", ".txt"):
+        else:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is refused below
-                found = np.loadtxt(path, delimiter=",", ndmin=2)
-        else:
-            raise UavrlError(f"{told} must be a .csv or an .npy file.")
+                found = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")  # as Excel writes it
     except (OSError, ValueError, EOFError) as error:
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
         raise UavrlError(f"{told} cannot be read ({reason}): {rows}.") from error
@@ -390,12 +409,16 @@ def _read(name: str, path: Path) -> np.ndarray:
         raise UavrlError(f"{told} have the shape {list(found.shape)} and type {found.dtype}: {rows}.")
     scans, rays, numbers = found.shape
     if rays > MOST_RAYS or scans > MOST_SCANS or scans * rays > 20 * MOST_RAYS:
-        raise UavrlError(f"{told} are {scans} scans of {rays:,} rays; at most {MOST_RAYS:,} rays are possible.")
+        raise UavrlError(
+            f"{told} are {scans} scans of {rays:,} rays; at most {MOST_SCANS} scans, {MOST_RAYS:,} rays in each and "
+            f"{20 * MOST_RAYS:,} in all are possible."
+        )
     found = found.astype(np.float64)
     if not np.isfinite(found).all():
         raise UavrlError(f"{told} hold NaN or infinite values: every ray needs a direction.")
     if numbers == 2:
         found = spherical(*np.radians(np.moveaxis(found, -1, 0)))
-    if not (np.linalg.norm(found, axis=-1) > 1e-6).all():
+    largest = np.abs(found).max(-1, keepdims=True)
+    if not (largest > 1e-6).all():
         raise UavrlError(f"{told} hold a ray of length 0: every ray needs a direction.")
-    return np.asarray(found)
+    return np.asarray(found / largest)  # whose squares can be added
