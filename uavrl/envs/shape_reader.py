@@ -13,15 +13,20 @@ import re
 import struct
 import sys
 import zipfile
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from uavrl.envs.polygons import concave_in_obj, count_concave, polygons_of_ply
+
 MESHES = (".stl", ".obj", ".ply", ".glb")
 CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".npz")
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization")
+LOOKS = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")  # which change no surface
+FAN = 6  # of the ways in which a GLB joins corners
 _RELATIVE = re.compile(rb"[\r\n][ \t]*f(?=[ \t])[^\r\n#]*[ \t/]-[0-9]")  # a face of an OBJ
 
 
@@ -44,14 +49,23 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
                 raise ValueError(f"it holds {held:,} of the {told:,} points that its header tells")
             return _points_of(cloud.numpy(("x", "y", "z"))), np.zeros((0, 3), np.int64)
         _require_absolute(file, suffix)
-        _require_uncompressed(file, suffix)
+        _require_plain(file, suffix)
+        if suffix == ".obj":
+            _require_convex(concave_in_obj(file))
         import trimesh
 
         if suffix == ".xyz":
             return _points_of(trimesh.exchange.xyz.load_xyz(file)["vertices"]), np.zeros((0, 3), np.int64)
-        scene = trimesh.load_scene(
-            file, file_type=suffix[1:], resolver={}, allow_remote=False, skip_materials=True, process=False
-        )
+        try:
+            scene = trimesh.load_scene(
+                file, file_type=suffix[1:], resolver={}, allow_remote=False, skip_materials=True, process=False
+            )
+        except ValueError as error:
+            if "unexpected length" not in str(error):
+                raise
+            why = "it is shorter or longer than its header tells, or its faces have different numbers of corners"
+            raise ValueError(f"{why}, which only an ASCII file may have") from error
+        _require_faces(each for each in scene.geometry.values() if hasattr(each, "faces"))
     if not any(isinstance(each, trimesh.Trimesh) and len(each.faces) for each in scene.geometry.values()):
         found = [each.vertices for each in scene.geometry.values() if hasattr(each, "vertices")]
         if not sum(map(len, found)):
@@ -70,21 +84,52 @@ def _require_absolute(file: BinaryIO, suffix: str) -> None:
             raise Unread("has faces with relative (negative) indices, which are not read: export it with absolute ones")
 
 
-def _require_uncompressed(file: BinaryIO, suffix: str) -> None:
-    """Refuses a GLB whose corners are compressed: trimesh takes the bytes as they are."""
+def _require_plain(file: BinaryIO, suffix: str) -> None:
+    """Refuses a GLB with surfaces that trimesh reads otherwise, or leaves out."""
     if suffix != ".glb":
         return
     start = file.read(20)
     try:
         magic, _, _, length, kind = struct.unpack("<4sIII4s", start)
         about = json.loads(file.read(length)) if (magic, kind) == (b"glTF", b"JSON") else {}
-        needed = about.get("extensionsRequired", ())
-        names = [name for name in COMPRESSED if name in needed]
+        needed = [str(name) for name in about.get("extensionsRequired", ())]
+        parts = [part for mesh in about.get("meshes", ()) for part in mesh.get("primitives", ())]
+        read = {index for part in parts for index in (part.get("attributes", {}).get("POSITION"), part.get("indices"))}
+        sparse = any("sparse" in each for index, each in enumerate(about.get("accessors", ())) if index in read)
+        fans = any(part.get("mode") == FAN for part in parts)
     except (struct.error, ValueError, TypeError, AttributeError):
-        names = []  # no GLB, which trimesh tells
-    file.seek(0)
-    if names:
+        return  # no GLB, which trimesh tells
+    finally:
+        file.seek(0)
+    if names := [name for name in COMPRESSED if name in needed]:
         raise Unread(f"is compressed with {' and '.join(names)}, which is not read: export it without")
+    if names := [name for name in needed if not name.startswith(LOOKS)]:
+        raise Unread(f"needs {' and '.join(names)}, which is not read: export it without")
+    if sparse or fans:
+        found = "sparse accessors" if sparse else "triangle fans"
+        raise Unread(f"has {found}, which are not read: export it with plain triangles")
+
+
+def _require_convex(count: int) -> None:
+    """Refuses faces that a fan of triangles would fill."""
+    if count:
+        which = f"{count:,} {'is' if count == 1 else 'are'} not convex"
+        raise Unread(
+            f"has faces with more than three corners of which {which}, whose openings would be filled: triangulate it "
+            "when you export it"
+        )
+
+
+def _require_faces(geometry: Iterable[Any]) -> None:
+    """Refuses a PLY whose faces trimesh reads otherwise."""
+    for each in geometry:
+        polygons, known = polygons_of_ply(each.metadata.get("_ply_raw", {}))
+        if not known:
+            raise Unread(
+                "has faces with different numbers of corners, which are not read from a binary PLY: triangulate it "
+                "when you export it, or export it as ASCII"
+            )
+        _require_convex(count_concave(np.asarray(each.vertices), polygons))
 
 
 def _array(path: Path, most: int) -> np.ndarray:
@@ -95,8 +140,8 @@ def _array(path: Path, most: int) -> np.ndarray:
         if sum(entry.file_size for entry in archive.infolist()) > most:
             raise MemoryError
     with np.load(path, allow_pickle=False) as data:
-        names = [name for name in data.files if name in ("points", "xyz", "vertices")] or data.files
-        if len(names) != 1:
+        names = [name for name in ("points", "xyz", "vertices") if name in data.files] or data.files
+        if len(names) > 1 and names is data.files:
             raise ValueError(f"holds the arrays {', '.join(data.files)}, of which none is called points")
         return np.asarray(data[names[0]])
 

@@ -1,0 +1,120 @@
+"""Faces with many corners are read as they are, or refused: no opening is filled, and nothing is left out."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from uavrl.envs.shape_reader import Unread, read_shape
+
+# A wall with a door, as one face: up, along the top, down, and around the opening.
+WALL = [(0, 0), (4, 0), (4, 5), (6, 5), (6, 0), (10, 0), (10, 8), (0, 8)]
+HEXAGON = [(2, 0), (1, 2), (-1, 2), (-2, 0), (-1, -2), (1, -2)]
+CONCAVE = r"^has faces with more than three corners of which 1 is not convex, whose openings would be filled"
+
+
+def obj(corners: list[tuple[int, int]], *faces: str) -> str:
+    return "".join(f"v 0 {y} {z}\n" for y, z in corners) + "".join(f"f {face}\n" for face in faces)
+
+
+def around(count: int, first: int = 0, join: str = " ") -> str:
+    return join.join(str((first + corner) % count + 1) for corner in range(count))
+
+
+def ply(corners: list[tuple[int, int]], faces: list[list[int]], *, binary: bool) -> bytes:
+    kind = "binary_little_endian" if binary else "ascii"
+    head = f"ply\nformat {kind} 1.0\nelement vertex {len(corners)}\n"
+    head += "property float x\nproperty float y\nproperty float z\n"
+    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    if binary:
+        body = b"".join(struct.pack("<3f", 0, *corner) for corner in corners)
+        return head.encode() + body + b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in faces)
+    text = "".join(f"0 {y} {z}\n" for y, z in corners)
+    return (head + text + "".join(" ".join(map(str, (len(face), *face))) + "\n" for face in faces)).encode()
+
+
+def read(path: Path, content: bytes | str) -> tuple[np.ndarray, np.ndarray]:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return read_shape(path, 2**30)
+
+
+def area(found: tuple[np.ndarray, np.ndarray]) -> float:
+    points, triangles = found
+    return float(trimesh.Trimesh(points, triangles, process=False).area)
+
+
+@pytest.mark.parametrize("first", range(8))
+def test_a_wall_with_a_door_is_no_wall(first: int, tmp_path: Path) -> None:
+    for content in (obj(WALL, around(8, first)), obj(WALL, around(8, first, " \\\n")).replace("f", "# g\n f")):
+        with pytest.raises(Unread, match=CONCAVE):
+            read(tmp_path / "wall.obj", content)
+    face = [(first + corner) % 8 for corner in range(8)]
+    for binary in (False, True):
+        with pytest.raises(Unread, match=CONCAVE):
+            read(tmp_path / "wall.ply", ply(WALL, [face], binary=binary))
+
+
+def test_convex_faces_are_read_whole(tmp_path: Path) -> None:
+    for number in range(6):
+        assert area(read(tmp_path / "a.obj", obj(HEXAGON, around(6, number)))) == pytest.approx(12.0)
+    slashed = obj(HEXAGON, "1/1/1 2/1/1 3/1/1 4/1/1 5/1/1 6/1/1") + "vt 0 0\nvn 1 0 0\n"
+    assert area(read(tmp_path / "a.obj", slashed)) == pytest.approx(12.0)
+    for binary in (False, True):
+        assert area(read(tmp_path / "a.ply", ply(HEXAGON, [list(range(6))], binary=binary))) == pytest.approx(12.0)
+    assert area(read(tmp_path / "a.ply", ply(HEXAGON, [[0, 1, 2, 3], [0, 3, 4], [0, 4, 5]], binary=False))) == 12.0
+
+
+@pytest.mark.parametrize(
+    ("faces", "told"),
+    [
+        ([[0, 1, 2, 3], [3, 4, 5], [0, 3, 5, 4, 1]], "has faces with different numbers of corners, which are not read"),
+        ([[0, 1, 2, 3], [0, 3, 4], [0, 4, 5]], "its faces have different numbers of corners, which only an ASCII file"),
+    ],
+    ids=["as long as equal ones", "shorter"],
+)
+def test_a_binary_ply_with_different_faces_is_not_misread(faces: list[list[int]], told: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=told):
+        read(tmp_path / "a.ply", ply(HEXAGON, faces, binary=True))
+
+
+def glb(change: Any) -> bytes:
+    content = trimesh.creation.box().export(file_type="glb")
+    length = struct.unpack("<I", content[12:16])[0]
+    about = json.loads(content[20 : 20 + length])
+    change(about)
+    text = json.dumps(about).encode()
+    text += b" " * (-len(text) % 4)
+    rest = content[20 + length :]
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            lambda about: about.update(extensionsRequired=["EXT_mesh_gpu_instancing"]),
+            "needs EXT_mesh_gpu_instancing, wh",
+        ),
+        (
+            lambda about: about["accessors"][about["meshes"][0]["primitives"][0]["indices"]].update(sparse={}),
+            "sparse acc",
+        ),
+        (lambda about: about["meshes"][0]["primitives"][0].update(mode=6), "has triangle fans, which are not read"),
+    ],
+)
+def test_what_a_glb_needs_is_read_or_refused(change: Any, told: str, tmp_path: Path) -> None:
+    with pytest.raises(Unread, match=told):
+        read(tmp_path / "a.glb", glb(change))
+    looks = glb(lambda about: about.update(extensionsRequired=["KHR_texture_transform", "KHR_materials_unlit"]))
+    assert len(read(tmp_path / "a.glb", looks)[1]) == 12
+
+
+def test_points_are_preferred_among_the_arrays_of_an_npz(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", xyz=np.zeros((2, 3)), points=np.ones((3, 3)), colours=np.zeros((3, 3)))
+    assert read_shape(tmp_path / "a.npz", 2**30)[0].tolist() == np.ones((3, 3)).tolist()
