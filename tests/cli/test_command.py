@@ -71,11 +71,13 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (
             ["reward=bold", "reward.arrived_reward=100"],
             "belongs to reward=navigation or reward=navigation_printed or reward=navigation_prize or "
-            "reward=traditional: choose one of them, or write +reward.arrived_reward=VALUE where the class",
+            "reward=traditional: choose one of them on the same line, also for a run that has it, or write "
+            "+reward.arrived_reward=VALUE where the class",
         ),
         (
             ["reward=traditional", "reward.boldness=2"],
-            "reward.boldness belongs to reward=bold: choose that one, or write +reward.boldness=VALUE where",
+            "reward.boldness belongs to reward=bold: choose that one on the same line, also for a run that has it, or "
+            "write +reward.boldness=VALUE where",
         ),
         (["reward=traditional", "reward.boldnes=2"], "There is no key 'reward.boldnes': did you mean reward.boldness?"),
         (["reward=bald"], "got 'bald': did you mean bold?"),
@@ -107,7 +109,10 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
             ["algo=sac", "algo.actor.log_scale=[1.0,2.0]"],
             "If the class of algo takes it, write +algo.actor.log_scale=VALUE.",
         ),
-        (["env.world.file=site.stl"], "env.world.file belongs to env=cloud or env=mesh: choose one of them, or write"),
+        (
+            ["env.world.file=site.stl"],
+            "env.world.file belongs to env=cloud or env=mesh: choose one of them on the same line, also",
+        ),
         (
             ["env=forest", "env.world.traps=3"],
             "env.world.traps belongs to env=dynamic or env=static: choose one of them",
