@@ -118,3 +118,12 @@ def test_what_a_glb_needs_is_read_or_refused(change: Any, told: str, tmp_path: P
 def test_points_are_preferred_among_the_arrays_of_an_npz(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", xyz=np.zeros((2, 3)), points=np.ones((3, 3)), colours=np.zeros((3, 3)))
     assert read_shape(tmp_path / "a.npz", 2**30)[0].tolist() == np.ones((3, 3)).tolist()
+
+
+@pytest.mark.parametrize("text", ["//X Y Z\n1 2 3\n", "1,2,3\n4,5,6\n", "x y z\n1 2 3\n", "1 2\n3 4\n"])
+def test_an_xyz_file_is_told_how_its_lines_must_be(text: str, tmp_path: Path) -> None:
+    with pytest.raises(
+        Unread, match="each line must hold x, y and z with spaces between them, and no header may stand"
+    ):
+        read(tmp_path / "a.xyz", text)
+    assert len(read(tmp_path / "a.xyz", "1 2 3\n4 5 6\n")[0]) == 2

@@ -55,7 +55,11 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
         import trimesh
 
         if suffix == ".xyz":
-            return _points_of(trimesh.exchange.xyz.load_xyz(file)["vertices"]), np.zeros((0, 3), np.int64)
+            try:
+                return _points_of(trimesh.exchange.xyz.load_xyz(file)["vertices"]), np.zeros((0, 3), np.int64)
+            except ValueError as error:
+                rows = "each line must hold x, y and z with spaces between them, and no header may stand above"
+                raise Unread(f"cannot be read as XYZ: {rows}") from error
         try:
             scene = trimesh.load_scene(
                 file, file_type=suffix[1:], resolver={}, allow_remote=False, skip_materials=True, process=False

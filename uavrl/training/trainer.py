@@ -164,9 +164,11 @@ class EpisodeTrainer:
         if not updates:
             return
         log.info("The critics learn from what was flown so far (%s), before the actor does.", f"{updates:,} updates")
-        losses = [self.stepper.warm_up(batch) for batch in self.replay.batches(updates)]
+        losses = []
+        for batch in self.replay.batches(updates):
+            losses.append(self.stepper.warm_up(batch))
+            self._stall_notice.reset()  # the line above tells what is waited for
         self._require_finite(torch.stack(losses).mean().item(), "The critic's loss", updates)
-        self._stall_notice.reset()
 
     def learn(self, updates: int, *, actor: bool) -> None:
         """Updates critics and models, and every so many times the actor and the targets, on random batches."""
