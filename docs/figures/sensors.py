@@ -17,7 +17,7 @@ from uavrl.envs.sensors import SENSORS
 from uavrl.errors import UavrlError
 
 WORLDS = {"static": "valleys", "forest": "forest", "rooms": "rooms"}
-GUARDS = {"none": "no guards", "all": "all guards"}
+GUARDS = ("no guards", "guards")
 
 
 def grid(rows: list[dict[str, Any]], policy: str = "best") -> np.ndarray:
@@ -25,7 +25,7 @@ def grid(rows: list[dict[str, Any]], policy: str = "best") -> np.ndarray:
     cells = np.full((len(SENSORS), len(WORLDS) * len(GUARDS)), np.nan)
     drawn = [row for row in rows if row["policy"] == policy and row["world"] in WORLDS]
     for row in sorted(drawn, key=lambda each: each["episodes"]):
-        column = list(WORLDS).index(row["world"]) * len(GUARDS) + list(GUARDS).index(row["guards"])
+        column = list(WORLDS).index(row["world"]) * len(GUARDS) + int(row["guards"] != "none")
         cells[list(SENSORS).index(row["sensor"]), column] = 100 * row["success"]["rate"]
     return cells
 
@@ -42,7 +42,7 @@ def main() -> None:
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UavrlError(f"Expected rows in {args.rows}, as of studies/sensors.py: {error!r}.") from error
     flown = ~np.isnan(cells)
-    columns = [f"{world}\n{guard}" for world in WORLDS.values() for guard in GUARDS.values()]
+    columns = [f"{world}\n{guard}" for world in WORLDS.values() for guard in GUARDS]
     names, heads = (
         [name for name, some in zip(all_of, flown.any(axis), strict=True) if some]
         for all_of, axis in ((list(SENSORS), 1), (columns, 0))
