@@ -197,7 +197,7 @@ def test_a_buffer_gives_batches_and_slices_and_takes_nothing(data: Path) -> None
         buffer.extend(batch.zero_())
     assert differing(tensordict.load(data / "storage", allow_pickle=False), before) == set()
     sampler = SliceSampler(slice_len=3, traj_key="episode", strict_length=False)
-    slices = TensorDictReplayBuffer(storage=TensorStorage(before), sampler=sampler, batch_size=12).sample()
+    slices = TensorDictReplayBuffer(storage=TensorStorage(before), sampler=sampler, batch_size=300).sample()
     index = slices["index"].reshape(-1)
     together = slices["episode"].diff() == 0
     assert together.any() and (index.diff()[together] == 1).any()
