@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 
-from uavrl.cli.processes import as_complete, count_task, counter, processes, value_of
+from uavrl.cli.processes import as_complete, count_task, counter, processes, submit_all, value_of
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.yaml_files import register_resolvers
 from uavrl.errors import UavrlError
@@ -201,8 +201,8 @@ def in_processes(
     killed = f"A process that was flying was killed, often for want of memory: {again}"
     with processes(max(1, min(most, sum(map(len, jobs.values())))), killed, ended, threads=threads) as pool:
         with interrupts_held_back():
-            futures = {name: [pool.submit(_fly, job) for job in each] for name, each in jobs.items()}
-        for name, shares in as_complete(futures, lambda: line.set(value_of(ended))):
+            futures, started = submit_all(pool, _fly, jobs)
+        for name, shares in as_complete(futures, started, lambda: line.set(value_of(ended))):
             complete(name, shares)
 
 

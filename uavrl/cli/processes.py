@@ -5,10 +5,11 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from multiprocessing.process import BaseProcess
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -65,20 +66,35 @@ def count_task() -> None:
         ended.value += 1
 
 
+def submit_all(
+    pool: ProcessPoolExecutor, call: Callable[[Any], Any], jobs: Mapping[str, Sequence[Any]]
+) -> tuple[dict[str, list[Future[Any]]], set[BaseProcess]]:
+    """Let a pool of :func:`processes` do jobs; return their futures by name, and the processes that the pool started.
+
+    A pool overlooks the end of a process that it starts while its thread begins to wait, so others must look, too.
+    """
+    futures: dict[str, list[Future[Any]]] = {name: [] for name in jobs}
+    started: set[BaseProcess] = set()
+    for name, job in ((name, job) for name, each in jobs.items() for job in each):
+        futures[name].append(pool.submit(call, job))
+        started.update(multiprocessing.active_children())
+    return futures, started
+
+
 def as_complete(
-    futures: Mapping[str, Sequence[Future[Any]]], meanwhile: Callable[[], None]
+    futures: Mapping[str, Sequence[Future[Any]]], started: Collection[BaseProcess], meanwhile: Callable[[], None]
 ) -> Iterator[tuple[str, list[Any]]]:
     """Yield each name with the results of its futures when all of these are there; the first error ends all.
 
     Args:
         futures: of a pool of :func:`processes`, by the name of what they make together.
+        started: processes that must not end before all results are there.
         meanwhile: called at each look.
 
     Raises:
         UavrlError: with the sentence of a process, after the name, where it has one.
         BrokenProcessPool: when a process was killed.
     """
-    flying = multiprocessing.active_children()
     pending = {name: list(each) for name, each in futures.items()}
     done = SimpleQueue[Future[Any]]()
     for each in pending.values():  # `concurrent.futures.wait` takes the futures' locks, which a signal can leave taken
@@ -96,8 +112,7 @@ def as_complete(
             if len(found) == len(each):
                 del pending[name]
                 yield name, found
-        if pending and any(process.exitcode for process in flying):
-            # The pool itself overlooks the end of a process that it started while its thread began to wait.
+        if pending and any(process.exitcode is not None for process in started):
             raise BrokenProcessPool("A process has ended that had something to do.")
 
 

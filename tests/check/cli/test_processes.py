@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import os
 import signal
 import sys
@@ -18,7 +17,7 @@ import pytest
 from tests.helpers.commands import VALLEY, in_process
 from tests.helpers.signals import hearing
 from uavrl.cli.evaluate import main as evaluate
-from uavrl.cli.processes import as_complete, processes
+from uavrl.cli.processes import as_complete, processes, submit_all
 from uavrl.errors import UavrlError
 
 FEW = [*VALLEY, "num_uavs=2", "progress=false"]
@@ -88,7 +87,10 @@ def test_an_error_of_one_process_ends_the_others(
     assert not output.exists() and time.monotonic() - begun < 300
 
 
-def test_the_end_of_a_process_is_noticed_that_the_pool_overlooks(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_the_end_of_a_process_is_noticed_that_the_pool_overlooks(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The pool's thread lists the processes whose end it waits for, and only then the last process is started."""
     start = ProcessPoolExecutor._adjust_process_count
 
@@ -103,9 +105,10 @@ def test_the_end_of_a_process_is_noticed_that_the_pool_overlooks(monkeypatch: py
         assert time.monotonic() - begun < 60, "nobody noticed"
 
     with pytest.raises(UavrlError, match=r"^It was killed\.$"), processes(2, "It was killed.") as pool:
-        futures = {"": [pool.submit(time.sleep, 600) for _ in range(2)]}
-        max(multiprocessing.active_children(), key=lambda process: process.pid or 0).kill()
-        list(as_complete(futures, look))
+        futures, started = submit_all(pool, time.sleep, {"": [600, 600]})
+        os.kill(max(process.pid or 0 for process in started), number)
+        time.sleep(0.5 * (number == signal.SIGKILL))  # it ends before or after the first look
+        list(as_complete(futures, started, look))
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

@@ -146,7 +146,7 @@ def test_a_damaged_checkpoint_does_not_hide_that_a_run_was_stopped(whole: Path, 
 SUITE = """
 import signal, sys, threading, time
 from uavrl_onboard.cli.process import command_process
-from uavrl.cli.processes import as_complete, processes
+from uavrl.cli.processes import as_complete, processes, submit_all
 
 def hear():
     time.sleep(0.5)  # until the main thread waits
@@ -154,11 +154,11 @@ def hear():
 
 if __name__ == "__main__":
     with command_process(), processes(2, "killed") as pool:
-        evaluations = [pool.submit(time.sleep, 600) for _ in range(4)]
+        evaluations, started = submit_all(pool, time.sleep, {"": [600] * 4})
         if sys.argv[1:]:
             threading.Thread(target=hear, daemon=True).start()
         print("begun", flush=True)
-        list(as_complete({"": evaluations}, lambda: None))
+        list(as_complete(evaluations, started, lambda: None))
 """
 
 
