@@ -16,10 +16,10 @@ from uavrl.envs.shape_reader import Unread, read_shape
 # A wall with a door, as one face: up, along the top, down, and around the opening.
 WALL = [(0, 0), (4, 0), (4, 5), (6, 5), (6, 0), (10, 0), (10, 8), (0, 8)]
 HEXAGON = [(2, 0), (1, 2), (-1, 2), (-2, 0), (-1, -2), (1, -2)]
-CONCAVE = r"^has faces with more than three corners of which 1 is not convex, whose openings would be filled"
+CONCAVE = r"^has 1 face with more than three corners that is not convex, and would be filled: triangulate the mesh"
 
 
-def obj(corners: list[tuple[int, int]], *faces: str) -> str:
+def obj(corners: list[Any], *faces: str) -> str:
     return "".join(f"v 0 {y} {z}\n" for y, z in corners) + "".join(f"f {face}\n" for face in faces)
 
 
@@ -51,13 +51,69 @@ def area(found: tuple[np.ndarray, np.ndarray]) -> float:
 
 @pytest.mark.parametrize("first", range(8))
 def test_a_wall_with_a_door_is_no_wall(first: int, tmp_path: Path) -> None:
-    for content in (obj(WALL, around(8, first)), obj(WALL, around(8, first, " \\\n")).replace("f", "# g\n f")):
+    faces_first = obj([], around(8, first)) + obj(WALL)
+    for content in (obj(WALL, around(8, first)), obj(WALL, around(8, first, " \\\n")), faces_first):
         with pytest.raises(Unread, match=CONCAVE):
             read(tmp_path / "wall.obj", content)
     face = [(first + corner) % 8 for corner in range(8)]
     for binary in (False, True):
         with pytest.raises(Unread, match=CONCAVE):
             read(tmp_path / "wall.ply", ply(WALL, [face], binary=binary))
+
+
+def test_a_tunnel_with_a_smooth_arch_stays_open(tmp_path: Path) -> None:
+    angles = np.linspace(np.pi, 0, 360)
+    arch = [(2 * np.cos(angle), 2 * np.sin(angle)) for angle in angles]
+    mouth = [(-5, 0), *arch, (5, 0), (5, 6), (-5, 6)]
+    with pytest.raises(Unread, match=CONCAVE):
+        read(tmp_path / "a.obj", obj(mouth, around(len(mouth))))
+
+
+def test_a_face_that_is_hardly_concave_is_read(tmp_path: Path) -> None:
+    dented = [(0, 0), (1, 0.01), (2, 0), (2, 2), (0, 2)]
+    for first in range(5):
+        found = read(tmp_path / "a.obj", obj(dented, around(5, first)))
+        assert area(found) == pytest.approx(4.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("corner", "face"),
+    [("s t", ""), ("", "property list uchar float texcoord\n"), ("", "property uchar flags\n"), ("s t", "unused")],
+    ids=["coordinates of corners", "coordinates of faces", "flags", "a corner of no face"],
+)
+def test_what_a_ply_tells_beside_its_corners_changes_nothing(corner: str, face: str, tmp_path: Path) -> None:
+    """A grid of squares is read, and the wall with a door is not, however trimesh arranges the corners."""
+    unused, face = face == "unused", face.replace("unused", "")
+    size = 4
+    grid = [(y, z) for z in range(size) for y in range(size)]
+    squares = [[n, n + 1, n + 1 + size, n + size] for n in range(size * (size - 1)) if n % size < size - 1]
+
+    def written(corners: list[Any], faces: list[list[int]]) -> str:
+        corners = [(99, 99), *corners] if unused else corners
+        faces = [[n + unused for n in each] for each in faces]
+        head = f"ply\nformat ascii 1.0\nelement vertex {len(corners)}\n"
+        head += "".join(f"property float {axis}\n" for axis in ("x y z " + corner).split())
+        head += f"element face {len(faces)}\n" + (face if "flags" in face else "")
+        head += "property list uchar int vertex_indices\n" + (face if "texcoord" in face else "") + "end_header\n"
+        rows = [f"0 {y} {z}" + (f" {y / 9} {z / 9}" if corner else "") for y, z in corners]
+        for each in faces:
+            told = " ".join(map(str, (len(each), *each)))
+            texture = f" {2 * len(each)} " + " ".join(f"{n / 9:.3f} 0" for n in each) if "texcoord" in face else ""
+            rows.append(("7 " if "flags" in face else "") + told + texture)
+        return head + "\n".join(rows) + "\n"
+
+    assert area(read(tmp_path / "a.ply", written(grid, squares))) == pytest.approx((size - 1) ** 2)
+    with pytest.raises(
+        Unread, match="has 2 faces with more than three corners that are not convex, and would be filled"
+    ):
+        read(tmp_path / "a.ply", written(WALL, [list(range(8))] * 2))
+
+
+@pytest.mark.parametrize("line", [" f 1 3 4", "f\t1 3 4", " v 9 9 9", "v\t9 9 9"])
+def test_lines_that_would_be_left_out_are_told(line: str, tmp_path: Path) -> None:
+    for content in (obj(HEXAGON, "1 2 3") + line + "\n", line + "\n" + obj(HEXAGON, "1 2 3")):
+        with pytest.raises(Unread, match="in lines with a tab, or with a blank at the beginning, which are not read"):
+            read(tmp_path / "a.obj", content)
 
 
 def test_convex_faces_are_read_whole(tmp_path: Path) -> None:
@@ -74,7 +130,10 @@ def test_convex_faces_are_read_whole(tmp_path: Path) -> None:
     ("faces", "told"),
     [
         ([[0, 1, 2, 3], [3, 4, 5], [0, 3, 5, 4, 1]], "has faces with different numbers of corners, which are not read"),
-        ([[0, 1, 2, 3], [0, 3, 4], [0, 4, 5]], "its faces have different numbers of corners, which only an ASCII file"),
+        (
+            [[0, 1, 2, 3], [0, 3, 4], [0, 4, 5]],
+            r"is shorter or longer than its header tells: .* If its faces have different numbers",
+        ),
     ],
     ids=["as long as equal ones", "shorter"],
 )
@@ -122,8 +181,6 @@ def test_points_are_preferred_among_the_arrays_of_an_npz(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("text", ["//X Y Z\n1 2 3\n", "1,2,3\n4,5,6\n", "x y z\n1 2 3\n", "1 2\n3 4\n"])
 def test_an_xyz_file_is_told_how_its_lines_must_be(text: str, tmp_path: Path) -> None:
-    with pytest.raises(
-        Unread, match="each line must hold x, y and z with spaces between them, and no header may stand"
-    ):
+    with pytest.raises(Unread, match="each line must hold x, y and z with blanks between them, without a header"):
         read(tmp_path / "a.xyz", text)
     assert len(read(tmp_path / "a.xyz", "1 2 3\n4 5 6\n")[0]) == 2

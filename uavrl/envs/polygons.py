@@ -1,69 +1,92 @@
-"""Faces with more than three corners: trimesh cuts them into a fan, which fills the openings of those not convex."""
+"""Faces with more than three corners: trimesh cuts them into a fan, which can fill the openings of those not convex."""
 
-import mmap
 import re
+from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
 
-SLACK = 0.02  # sine of the angle by which a corner may point inwards, as rounding makes it
-_MANY_CORNERS = re.compile(rb"[\r\n][ \t]*f(?:(?:[ \t]|\\\r?\n)+[^\s#\\]+){4}")  # a face of an OBJ
+MOST_FILLED = 0.01  # of a face's area: what a fan may cover outside of the face, as scanned and sculpted meshes have it
+_AT_ONCE = 100_000  # polygons
+_CORNERS = ("vertex_indices", "vertex_index")  # what the list of a PLY's face is called
+UNREAD_LINES = re.compile(rb"(?:\A|[\r\n])(?:[ \t]+[vf][ \t]|[vf]\t)")  # of an OBJ: trimesh leaves them out
 
 
-def count_concave(points: np.ndarray, polygons: np.ndarray | Sequence[np.ndarray]) -> int:
-    """How many polygons, given by the numbers of their corners among ``points [P, 3]``, are not convex.
+def count_filled(points: np.ndarray, polygons: np.ndarray | Sequence[np.ndarray]) -> int:
+    """How many polygons, given by the numbers of their corners among ``points [P, 3]``, a fan does not fit.
 
     An array ``[F, N]`` holds F polygons of N corners.
 
     Examples:
         >>> square = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [0.5, 0.5, 0]])
-        >>> count_concave(square, [np.array([0, 1, 2, 3]), np.array([0, 1, 2, 4])])
+        >>> count_filled(square, [np.array([0, 1, 2, 3]), np.array([0, 1, 2, 4])])
         0
-        >>> count_concave(square, [np.array([0, 1, 4, 3])])
+        >>> count_filled(square, [np.array([1, 4, 3, 0])])
         1
     """
     if isinstance(polygons, np.ndarray) and polygons.ndim == 2:
-        return int(_is_concave(points[polygons]).sum()) if polygons.shape[1] > 3 else 0
-    sizes: dict[int, list[np.ndarray]] = {}
-    for polygon in polygons:
-        if len(polygon) > 3:
-            sizes.setdefault(len(polygon), []).append(polygon)
-    return sum(int(_is_concave(points[np.array(same)]).sum()) for same in sizes.values())
+        sizes = {polygons.shape[1]: polygons}
+    else:
+        lists: dict[int, list[np.ndarray]] = {}
+        for polygon in polygons:
+            lists.setdefault(len(polygon), []).append(polygon)
+        sizes = {size: np.array(same) for size, same in lists.items()}
+    parts = (
+        (same[first : first + _AT_ONCE])
+        for size, same in sizes.items()
+        if size > 3
+        for first in range(0, len(same), _AT_ONCE)
+    )
+    return sum(int(_overlaps(points[part]).sum()) for part in parts)
 
 
-def _is_concave(corners: np.ndarray) -> np.ndarray:
-    """Which of the polygons ``[K, N, 3]`` have a corner that points inwards."""
-    edges = np.roll(corners, -1, axis=1) - corners
-    lengths = np.linalg.norm(edges, axis=-1)
-    turns = np.cross(edges, np.roll(edges, -1, axis=1))
-    normals = np.cross(corners - corners[:, :1], np.roll(corners, -1, axis=1) - corners[:, :1]).sum(1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
-    inwards = -np.einsum("kni,ki->kn", turns, normals)
-    return (inwards > SLACK * lengths * np.roll(lengths, -1, axis=1)).any(1)
+def _overlaps(corners: np.ndarray) -> np.ndarray:
+    """Of which polygons ``[K, N, 3]`` the fan from the first corner has triangles that point the other way."""
+    spokes = corners[:, 1:] - corners[:, :1]
+    triangles = np.cross(spokes[:, :-1], spokes[:, 1:])
+    whole = triangles.sum(1)
+    area = np.linalg.norm(whole, axis=-1)
+    along = np.einsum("kni,ki->kn", triangles, whole / np.maximum(area, 1e-300)[:, None])
+    return -np.minimum(along, 0.0).sum(1) > MOST_FILLED * area
 
 
-def concave_in_obj(file: BinaryIO) -> int:
-    """How many faces of an OBJ are not convex; its text is read only if any has more than three corners."""
-    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        if not _MANY_CORNERS.search(content):
-            return 0
-        lines = content.read().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
-    words = [line.partition(b"#")[0].split() for line in lines]
-    points = np.array([line[1:4] for line in words if line[:1] == [b"v"]], float)
-    faces = [line[1:] for line in words if line[:1] == [b"f"] and len(line) > 4]
-    return count_concave(points, [np.array([int(corner.partition(b"/")[0]) - 1 for corner in face]) for face in faces])
+def filled_in_obj(file: BinaryIO) -> int:
+    """How many faces of an OBJ a fan does not fit."""
+    points, before = array("d"), b""
+    faces: dict[int, array[int]] = {}
+    for part in file:
+        line = before + part
+        if line.rstrip(b"\r\n").endswith(b"\\"):
+            before = line.rstrip(b"\r\n")[:-1] + b" "
+            continue
+        before = b""
+        if line.startswith(b"v "):
+            points.extend(map(float, line.split()[1:4]))
+        elif line.startswith(b"f ") and len(words := line.partition(b"#")[0].split()) > 4:
+            corners = (int(word.partition(b"/")[0]) - 1 for word in words[1:])
+            faces.setdefault(len(words) - 1, array("q")).extend(corners)
+    file.seek(0)
+    places = np.array(points).reshape(-1, 3)
+    return sum(count_filled(places, np.array(same).reshape(-1, size)) for size, same in faces.items())
 
 
-def polygons_of_ply(raw: Mapping[str, Any]) -> tuple[np.ndarray | list[np.ndarray], bool]:
-    """The faces of a PLY as trimesh keeps them, and whether it has read them all with as many corners as they have."""
-    data, none = raw.get("face", {}).get("data"), np.zeros((0, 3), np.int64)
-    if isinstance(data, Mapping):  # of an ASCII file, [F, N] or an array of arrays
-        lists = [faces for faces in data.values() if np.ndim(faces) == 2 or (len(faces) and np.ndim(faces[0]) == 1)]
-        return (lists[0] if lists else none), True
-    names = getattr(getattr(data, "dtype", None), "names", None) or ()
-    for name in names:
-        if data[name].dtype.names == ("f0", "f1"):  # how many corners a face has, and which
-            corners = data[name]["f1"]
-            return corners, corners.ndim == 2 and bool((data[name]["f0"] == corners.shape[1]).all())
-    return none, True
+def polygons_of_ply(raw: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | Sequence[np.ndarray], bool]:
+    """Corners and faces of a PLY as trimesh keeps them, and whether it read as many corners of each face as it has."""
+    none = np.zeros((0, 3), np.int64)
+    data, corners = raw.get("face", {}).get("data"), raw.get("vertex", {}).get("data")
+    if data is None or corners is None:
+        return np.zeros((0, 3)), none, True
+    points = np.column_stack([np.asarray(corners[axis], float).ravel() for axis in "xyz"])
+    names = data.keys() if isinstance(data, Mapping) else data.dtype.names or ()
+    name = next((name for name in _CORNERS if name in names), None)
+    if name is None:
+        return points, none, True
+    if isinstance(data, Mapping):  # of an ASCII file: [F, N], arrays of different lengths, or [N] of a single face
+        found = data[name]
+        alone = isinstance(found, np.ndarray) and found.ndim == 1 and found.dtype != object
+        return points, found[None] if alone else found, True
+    found = data[name]
+    if found.dtype.names != ("f0", "f1"):  # how many corners a face has, and which
+        return points, none, True
+    return points, found["f1"], found["f1"].ndim == 2 and bool((found["f0"] == found["f1"].shape[1]).all())

@@ -20,14 +20,14 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from uavrl.envs.polygons import concave_in_obj, count_concave, polygons_of_ply
+from uavrl.envs.polygons import UNREAD_LINES, count_filled, filled_in_obj, polygons_of_ply
 
 MESHES = (".stl", ".obj", ".ply", ".glb")
 CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".npz")
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization")
 LOOKS = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")  # which change no surface
 FAN = 6  # of the ways in which a GLB joins corners
-_RELATIVE = re.compile(rb"[\r\n][ \t]*f(?=[ \t])[^\r\n#]*[ \t/]-[0-9]")  # a face of an OBJ
+_RELATIVE = re.compile(rb"(?:\A|[\r\n])[ \t]*f(?=[ \t])[^\r\n#]*[ \t/]-[0-9]")  # a face of an OBJ
 
 
 class Unread(ValueError):
@@ -51,14 +51,14 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
         _require_absolute(file, suffix)
         _require_plain(file, suffix)
         if suffix == ".obj":
-            _require_convex(concave_in_obj(file))
+            _require_fans(filled_in_obj(file))
         import trimesh
 
         if suffix == ".xyz":
             try:
                 return _points_of(trimesh.exchange.xyz.load_xyz(file)["vertices"]), np.zeros((0, 3), np.int64)
             except ValueError as error:
-                rows = "each line must hold x, y and z with spaces between them, and no header may stand above"
+                rows = "each line must hold x, y and z with blanks between them, without a header"
                 raise Unread(f"cannot be read as XYZ: {rows}") from error
         try:
             scene = trimesh.load_scene(
@@ -67,8 +67,10 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
         except ValueError as error:
             if "unexpected length" not in str(error):
                 raise
-            why = "it is shorter or longer than its header tells, or its faces have different numbers of corners"
-            raise ValueError(f"{why}, which only an ASCII file may have") from error
+            raise Unread(
+                "is shorter or longer than its header tells: if it is still being written, wait. If its faces have "
+                "different numbers of corners, triangulate it when you export it, or export it as ASCII"
+            ) from error
         _require_faces(each for each in scene.geometry.values() if hasattr(each, "faces"))
     if not any(isinstance(each, trimesh.Trimesh) and len(each.faces) for each in scene.geometry.values()):
         found = [each.vertices for each in scene.geometry.values() if hasattr(each, "vertices")]
@@ -86,6 +88,11 @@ def _require_absolute(file: BinaryIO, suffix: str) -> None:
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if _RELATIVE.search(content):
             raise Unread("has faces with relative (negative) indices, which are not read: export it with absolute ones")
+        if UNREAD_LINES.search(content):
+            raise Unread(
+                "has corners or faces in lines with a tab, or with a blank at the beginning, which are not read: begin "
+                "these lines with 'v ' and 'f '"
+            )
 
 
 def _require_plain(file: BinaryIO, suffix: str) -> None:
@@ -114,26 +121,27 @@ def _require_plain(file: BinaryIO, suffix: str) -> None:
         raise Unread(f"has {found}, which are not read: export it with plain triangles")
 
 
-def _require_convex(count: int) -> None:
+def _require_fans(filled: int) -> None:
     """Refuses faces that a fan of triangles would fill."""
-    if count:
-        which = f"{count:,} {'is' if count == 1 else 'are'} not convex"
-        raise Unread(
-            f"has faces with more than three corners of which {which}, whose openings would be filled: triangulate it "
-            "when you export it"
+    if filled:
+        found = (
+            "face with more than three corners that is"
+            if filled == 1
+            else "faces with more than three corners that are"
         )
+        raise Unread(f"has {filled:,} {found} not convex, and would be filled: triangulate the mesh when you export it")
 
 
 def _require_faces(geometry: Iterable[Any]) -> None:
     """Refuses a PLY whose faces trimesh reads otherwise."""
     for each in geometry:
-        polygons, known = polygons_of_ply(each.metadata.get("_ply_raw", {}))
+        points, polygons, known = polygons_of_ply(each.metadata.get("_ply_raw", {}))
         if not known:
             raise Unread(
                 "has faces with different numbers of corners, which are not read from a binary PLY: triangulate it "
                 "when you export it, or export it as ASCII"
             )
-        _require_convex(count_concave(np.asarray(each.vertices), polygons))
+        _require_fans(count_filled(points, polygons))
 
 
 def _array(path: Path, most: int) -> np.ndarray:
