@@ -11,10 +11,13 @@ from omegaconf import OmegaConf
 from tests.helpers.exported import policy_folder
 from tests.helpers.runs import small_config
 from uavrl.config import resolve, validate
+from uavrl.envs import sensors
 from uavrl.envs.sensors import lidar_sensor
+from uavrl.errors import UavrlError
 from uavrl.evaluation.field_of_view import trained_sensor
 from uavrl.export.export import export_policy
 from uavrl.runs.config import fingerprint, read_config
+from uavrl.runs.directions import KEY
 from uavrl.training.run import create_run
 
 RAYS = np.array([[azimuth, elevation] for azimuth in range(-180, 180, 4) for elevation in (-10, 0, 10)], float)
@@ -37,6 +40,7 @@ def rays_of(folder: Path) -> np.ndarray:
 def gone(own: Path) -> None:
     for file in own.iterdir():
         file.unlink()
+    sensors.rays_of.cache_clear()
 
 
 def test_a_run_that_was_moved_has_its_rays(own: Path, tmp_path: Path) -> None:
@@ -46,6 +50,40 @@ def test_a_run_that_was_moved_has_its_rays(own: Path, tmp_path: Path) -> None:
     moved = run.rename(tmp_path / "moved")
     np.testing.assert_array_equal(rays_of(moved), expected)
     assert expected.shape == (270, 3)
+    assert "directions: lidar_directions.csv\n" in (moved / "config.yaml").read_text(), "no path of this machine"
+
+
+@pytest.mark.parametrize("name", ["RAYS.NPY", "lidar_directions.npy"])
+def test_so_has_one_whose_rays_lay_in_its_folder(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    with (folder / name).open("wb") as file:
+        np.save(file, RAYS)
+    (folder / "mine.yaml").write_text(f"directions: {name}\n")
+    run = create_run(resolve(small_config(folder, f"env.lidar={folder / 'mine.yaml'}")))
+    (run / "mine.yaml").unlink()
+    (run / "RAYS.NPY").unlink(missing_ok=True)
+    sensors.rays_of.cache_clear()
+    assert rays_of(run.rename(tmp_path / "moved")).shape == (270, 3)
+
+
+def test_rays_that_vanish_before_a_run_begins_are_named(own: Path, tmp_path: Path) -> None:
+    config = resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}"))
+    gone(own)
+    with pytest.raises(UavrlError, match=r"rays\.csv, are no longer there: put the file back"):
+        create_run(config)
+
+
+def test_a_folder_from_elsewhere_is_not_followed(own: Path, tmp_path: Path) -> None:
+    """A link in the place of the copy, and a file that never ends in the place of the directions."""
+    run = create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))
+    (run / "lidar_directions.csv").unlink()
+    (run / "lidar_directions.csv").symlink_to(own / "rays.csv")
+    assert OmegaConf.select(read_config(run), KEY) == "lidar_directions.csv"
+    for file in ("/dev/zero", "/dev/null\0"):
+        config = resolve(small_config(tmp_path / "other", f"env.lidar={own / 'mine.yaml'}"))
+        OmegaConf.update(config, KEY, file)
+        assert len(fingerprint(config)) == 64
 
 
 def test_an_exported_policy_has_them_too(own: Path, tmp_path: Path) -> None:
@@ -54,6 +92,7 @@ def test_an_exported_policy_has_them_too(own: Path, tmp_path: Path) -> None:
     gone(own)
     moved = (tmp_path / "exported").rename(tmp_path / "moved")
     assert rays_of(moved).shape == (270, 3)
+    assert "directions: lidar_directions.csv\n" in (moved / "config.yaml").read_text()
     again = tmp_path / "again"
     export_policy(moved, None, again)
     assert rays_of(again).shape == (270, 3)

@@ -23,7 +23,7 @@ from uavrl.evaluation.actor import POLICY_INFO, load_actor
 from uavrl.export.model_card import STATEMENTS, read_statements, write_card
 from uavrl.export.onnx_export import INPUT, MEMORY_INPUT, MEMORY_OUTPUT, OUTPUT, opset_of, policy_onnx
 from uavrl.models.memory import RecurrentPolicy
-from uavrl.runs.directions import keep_directions
+from uavrl.runs.directions import keep_directions, with_name_alone
 from uavrl.runs.names import CONFIG
 from uavrl.runs.provenance import versions
 from uavrl.runs.weights import POLICY, require_free
@@ -69,7 +69,7 @@ def export_policy(
     config.run_dir = Path(str(config.run_dir)).name
     keep_directions(config, output)
     with replacing(output / CONFIG) as partial:
-        partial.write_text(OmegaConf.to_yaml(config), encoding="utf-8")
+        partial.write_text(OmegaConf.to_yaml(with_name_alone(config)), encoding="utf-8")
     saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
     terms = contract(validate(config), saved["weights_sha256"], guards)
     if terms is not None:

@@ -17,6 +17,7 @@ from uavrl.errors import OtherFormat, UavrlError
 from uavrl.evaluation.worlds import seed_ranges
 from uavrl.runs import names
 from uavrl.runs.config import load_config
+from uavrl.runs.directions import by_content, use_kept_directions
 from uavrl.runs.episodes import RATES, Episode, read_episodes, wilson
 from uavrl.runs.names import CONFIG, EPISODES
 from uavrl.runs.weights import ARTIFACT, POLICY
@@ -186,7 +187,10 @@ def _require_keys(path: Path, content: Any, *keys: str, writer: str = "uavrl-tra
 
 
 def _config(path: Path) -> dict[str, Any]:
-    config: Any = OmegaConf.to_container(load_config(path))
+    loaded = load_config(path)
+    use_kept_directions(loaded, path.parent)
+    by_content(loaded)
+    config: Any = OmegaConf.to_container(loaded)
     if config:  # an empty file is a broken one
         _require_keys(path, config, "seed", "trainer.episodes", "choices.algo")
     seed, trainer, _ = int(config["seed"]), config["trainer"], learner_name(config["choices"])

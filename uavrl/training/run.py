@@ -21,7 +21,7 @@ from uavrl.config.settings import TrainConfig
 from uavrl.errors import FlyingEnded, Stopped, UavrlError, was_interrupted
 from uavrl.runs.checkpoint import checkpoint_to_resume, how_to_go_on, restore
 from uavrl.runs.config import MACHINE_KEYS, fingerprint, read_config
-from uavrl.runs.directions import keep_directions
+from uavrl.runs.directions import keep_directions, with_name_alone
 from uavrl.runs.interrupts import Stop, stoppable
 from uavrl.runs.lock import run_lock
 from uavrl.runs.names import ARTIFACT, BEGUN, CHECKPOINTS, CONFIG, EPISODES, SUMMARY, TRAINING
@@ -66,7 +66,7 @@ def create_run(config: DictConfig) -> Path:
 
 def _write(config: DictConfig, run_dir: Path) -> None:
     with replacing(run_dir / CONFIG) as partial_config:
-        partial_config.write_text(OmegaConf.to_yaml(config, resolve=True), encoding="utf-8")
+        partial_config.write_text(OmegaConf.to_yaml(with_name_alone(config), resolve=True), encoding="utf-8")
 
 
 def train(

@@ -1,5 +1,6 @@
 """The combinations of a sweep: each has a folder of its own, and is found there when the sweep is started again."""
 
+import copy
 import json
 import re
 from collections import Counter
@@ -11,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.errors import UavrlError
 from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, read_config
+from uavrl.runs.directions import by_content
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, CONFIG, EPISODES, LONGEST_NAME, SUMMARY
 from uavrl.training.run import reset_unstarted_run
@@ -78,7 +80,10 @@ def require_same_run(run_dir: Path, config: DictConfig) -> None:
     theirs = read_config(run_dir)
     if fingerprint(theirs) == fingerprint(config):
         return
-    pairs = [(key, OmegaConf.select(theirs, key), value) for key, value in _values(config).items()]
+    ours = copy.deepcopy(config)
+    for each in (theirs, ours):
+        by_content(each)
+    pairs = [(key, OmegaConf.select(theirs, key), value) for key, value in _values(ours).items()]
     other = [f"{key} is {old}, not {new}" for key, old, new in pairs if old != new and not _is_free(key)][:_SHOWN]
     raise UavrlError(
         f"{run_dir} contains a run with other settings ({'; '.join(other) or 'it has further keys'}): choose another "
