@@ -71,12 +71,12 @@ def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (
             ["reward=bold", "reward.arrived_reward=100"],
             "belongs to reward=navigation or reward=navigation_printed or reward=navigation_prize or "
-            "reward=traditional: choose one of them on the same line, also for a run that has it, or write "
+            "reward=traditional: add one of them to the command, even if a run was trained with it, or write "
             "+reward.arrived_reward=VALUE where the class",
         ),
         (
             ["reward=traditional", "reward.boldness=2"],
-            "reward.boldness belongs to reward=bold: choose that one on the same line, also for a run that has it, or "
+            "reward.boldness belongs to reward=bold: add that to the command, even if a run was trained with it, or "
             "write +reward.boldness=VALUE where",
         ),
         (["reward=traditional", "reward.boldnes=2"], "There is no key 'reward.boldnes': did you mean reward.boldness?"),
@@ -111,11 +111,11 @@ def test_without_their_folder_the_option_is_named(choice: str, refused: Callable
         ),
         (
             ["env.world.file=site.stl"],
-            "env.world.file belongs to env=cloud or env=mesh: choose one of them on the same line, also",
+            "env.world.file belongs to env=cloud or env=mesh: add one of them to the command, even",
         ),
         (
             ["env=forest", "env.world.traps=3"],
-            "env.world.traps belongs to env=dynamic or env=static: choose one of them",
+            "env.world.traps belongs to env=dynamic or env=static: add one of them",
         ),
         (["fork=on", "fork.gamma=0.5"], "There is no key 'fork.gamma'"),  # the run's own: no plus sign helps
         (

@@ -31,11 +31,13 @@ def test_they_know_what_the_lidar_sees() -> None:
     assert guarded(base, own).guards.shield.nearest == 0.4  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("lidar", [{}, {"sensor": "d435", "far_range": 12.0}])
-def test_a_lidar_that_does_not_reach_is_refused(lidar: dict[str, object]) -> None:
-    told = r"guards\.map\.sight=12 and guards\.evasion\.sight=12 look farther than the LiDAR, which reaches (4|10) m: "
-    with pytest.raises(UavrlError, match=told + r"write guards\.map\.sight=(4|10) guards\.evasion\.sight=(4|10),"):
-        guarded(env(**lidar), guard_settings("all"))
+@pytest.mark.parametrize(("reach", "told"), [(4.0, "4"), (10.129, "10.12")])
+def test_a_lidar_that_does_not_reach_is_refused(reach: float, told: str) -> None:
+    found = r"guards\.map\.sight=12 and guards\.evasion\.sight=12 look farther than the LiDAR, which reaches [\d.]+ m: "
+    with pytest.raises(UavrlError, match=found + rf"write guards\.map\.sight={told} guards\.evasion\.sight={told}, ra"):
+        guarded(env(max_range=reach), guard_settings("all"))
+    near = {name: {"sight": float(told)} for name in ("map", "evasion")}
+    guarded(env(max_range=reach), guard_settings(["all", near]))
 
 
 def test_a_camera_that_looks_ahead_is_told_to_fly_without_evasion(caplog: pytest.LogCaptureFixture) -> None:
@@ -43,8 +45,11 @@ def test_a_camera_that_looks_ahead_is_told_to_fly_without_evasion(caplog: pytest
     guarded(camera, guard_settings(["map", "shield", near]))
     assert not caplog.messages
     guarded(camera, guard_settings(["all", near, {"evasion": {"sight": 10.0}}]))
-    (told,) = caplog.messages
-    assert told.startswith("The LiDAR d435 does not look all around") and told.endswith("by guards=[map,shield].")
+    with pytest.raises(UavrlError, match=r"reaches 10 m: write guards=\[map,shield\] guards\.map\.sight=10, raise"):
+        guarded(camera, guard_settings("all"))
+    for told, end in zip(caplog.messages, ("]).", "] guards.map.sight=10)."), strict=True):
+        assert told.startswith("The LiDAR d435 does not look all around, so static obstacles seem to move")
+        assert told.endswith("leave evasion out (guards=[map,shield" + end)
 
 
 def test_a_lidar_of_one_layer_flies_with_all_guards() -> None:

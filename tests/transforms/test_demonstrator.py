@@ -180,12 +180,12 @@ def forgotten(tensordict: TensorDictBase) -> None:
     [
         (wide, r"got the shape \[2, 6\]"),
         (lost, "got NaN or infinity"),
-        (silent, "got nothing of that name; forward must set it"),
-        (forgotten, "got nothing of that name; forward must set it"),
+        (silent, "got none: set it in the TensorDict, and return that"),
+        (forgotten, "got none: set it in the TensorDict, and return that"),
     ],
 )
 def test_a_demonstrator_that_writes_the_wrong_thing_is_named(act: Any, told: str) -> None:
-    with pytest.raises(UavrlError, match=r"^The demonstrator function must write action, .* \[2, 4\], " + told):
+    with pytest.raises(UavrlError, match=rf"^The demonstrator {act.__name__} must write action, .* \[2, 4\], {told}"):
         Demonstrator(act, [], 4)(TensorDict({}, [2]))
 
 

@@ -56,7 +56,7 @@ def test_what_moves_is(name: str, lidar: Lidar) -> None:
 
 
 class Level(Flight):
-    """Flies on level."""
+    """Flies level."""
 
     velocity = np.array([1.5, 0.4, 0.0])
 

@@ -149,9 +149,7 @@ def _no_such_key(key: str, known: list[str], choices: list[str]) -> str:
     group = key.partition(".")[0]
     if key in known:
         owner = " or ".join(choices) or f"another choice of {group} than the one made"
-        other = (
-            f"choose {'one of them' if len(choices) > 1 else 'that one'} on the same line, also for a run that has it"
-        )
+        other = f"add {'one of them' if len(choices) > 1 else 'that'} to the command, even if a run was trained with it"
         return f"{key} belongs to {owner}: {other}, or write +{key}=VALUE where the class of this one takes it."
     place = key.rpartition(".")[0]
     beside = {each[len(place) + 1 :].partition(".")[0] for each in known if each.startswith(f"{place}.")}

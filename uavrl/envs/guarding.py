@@ -1,10 +1,12 @@
 """Guards around a simulated vehicle: they know its hull and limits, and what its LiDAR sees."""
 
 import logging
+import math
 from dataclasses import replace
 
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
+from uavrl.envs.sensors import LidarSensor
 from uavrl.errors import UavrlError
 from uavrl.transforms.guarded import Guarded
 from uavrl_onboard.guards.settings import GuardSettings
@@ -21,6 +23,17 @@ def far_seeing(lidar: LidarConfig, *sights: float | None) -> LidarConfig:
     """
     farthest = max((sight for sight in sights if sight is not None), default=None)
     return replace(lidar, far_range=farthest) if lidar.far_range is None else lidar
+
+
+def looks_around(device: LidarSensor) -> bool:
+    """Return whether a sensor looks all around, as the detection of what moves needs it.
+
+    Examples:
+        >>> from uavrl.envs.sensors import SENSORS
+        >>> looks_around(SENSORS["rplidar"]), looks_around(SENSORS["d435"])
+        (True, False)
+    """
+    return device.field_of_view[:2] == (-180.0, 180.0)
 
 
 def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
@@ -41,19 +54,24 @@ def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
     """
     lidar = base.lidar_config
     device = lidar.device
-    if guards.evasion is not None and device.field_of_view[:2] != (-180.0, 180.0):
-        log.warning(
-            "The LiDAR %s does not look all around, so what stands seems to move when it turns: leave evasion out, for "
-            "example by guards=[map,shield].",
-            device.name,
-        )
     sights = {name: guard.sight for name in ("map", "evasion") if (guard := getattr(guards, name)) is not None}
-    if too_far := {name: sight for name, sight in sights.items() if sight > lidar.farthest}:
+    too_far = {name: sight for name, sight in sights.items() if sight > lidar.farthest}
+    reach = math.floor(100 * lidar.farthest) / 100
+    lower = [f"guards.{name}.sight={reach:g}" for name in too_far]
+    if guards.evasion is not None and not looks_around(device):
+        others = [name for name in guards.names if name != "evasion"]
+        lower = [f"guards=[{','.join(others)}]", *(each for each in lower if "evasion" not in each)]
+        log.warning(
+            "The LiDAR %s does not look all around, so static obstacles seem to move when it turns: leave evasion out "
+            "(%s).",
+            device.name,
+            " ".join(lower),
+        )
+    if too_far:
         found = " and ".join(f"guards.{name}.sight={sight:g}" for name, sight in too_far.items())
-        lower = " ".join(f"guards.{name}.sight={lidar.farthest:g}" for name in too_far)
         raise UavrlError(
             f"{found} {'look' if len(too_far) > 1 else 'looks'} farther than the LiDAR, which reaches "
-            f"{lidar.farthest:g} m: write {lower}, raise the LiDAR's far_range, or choose another LiDAR."
+            f"{lidar.farthest:g} m: write {' '.join(lower)}, raise the LiDAR's far_range, or choose another LiDAR."
         )
     if guards.shield is not None and guards.shield.nearest is None:
         guards = replace(guards, shield=replace(guards.shield, nearest=lidar.nearest))

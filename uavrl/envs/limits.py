@@ -100,14 +100,15 @@ def require_speed(speed: float) -> float:
 
 
 def require_finite(config: object, names: Iterable[str]) -> None:
-    """Refuse a configuration whose attributes hold anything but finite numbers, or lists of such where tuples belong.
+    """Refuse a configuration unless its tuple fields hold lists of finite numbers, and its other fields finite numbers.
 
     NumPy's numbers become Python's and lists become tuples, so that two equal configurations compare as equal, and a
     configuration can be written as JSON.
     """
-    types = {each.name: str(each.type) for each in fields(config)}  # type: ignore[arg-type]
+    known = {each.name: each for each in fields(config)}  # type: ignore[arg-type]
     for name in names:
-        value, several = getattr(config, name), "tuple" in types[name]
+        value = getattr(config, name)
+        several = isinstance(known[name].default, tuple) or "tuple" in str(known[name].type).lower()
         numbers = value if several and isinstance(value, Iterable) and not isinstance(value, str) else (value,)
         found = all(isinstance(number, Real) and math.isfinite(number) for number in numbers)
         if not found or (several and numbers is not value):

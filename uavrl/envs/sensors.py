@@ -250,7 +250,8 @@ def sensor_settings(given: Any) -> Any:
         raise UavrlError(f"The LiDAR's file {given} cannot be read ({reason}): check it.") from error
     if not isinstance(settings, Mapping):
         raise UavrlError(f"The LiDAR's file {given} must hold settings such as 'azimuth_steps: 360', and does not.")
-    settings = {**settings, "name": settings.get("name") or path.stem}
+    if settings.get("name") is None:
+        settings = {**settings, "name": path.stem}
     if isinstance(directions := settings.get("directions"), str):
         settings["directions"] = str((path.parent / Path(directions).expanduser()).resolve())
     return settings

@@ -1,5 +1,6 @@
 """The environment of a configuration."""
 
+import logging
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,7 +11,7 @@ from torchrl.envs import Compose, EnvBase, InitTracker, TensorDictPrimer, Transf
 
 from uavrl.config.build import TARGET, arguments, build, find_class
 from uavrl.config.context import CONTEXT
-from uavrl.envs.guarding import far_seeing, guarded
+from uavrl.envs.guarding import far_seeing, guarded, looks_around
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.privileged import QUANTITIES
 from uavrl.errors import UavrlError
@@ -20,6 +21,8 @@ from uavrl.transforms.composition import inner_transforms
 from uavrl.transforms.guarded import GOAL_HEADING
 from uavrl.transforms.privileged import Privileged
 from uavrl_onboard.guards.settings import GuardSettings
+
+log = logging.getLogger(__name__)
 
 FAR_RANGE = "perception.lidar.far_range"
 
@@ -123,6 +126,12 @@ def with_sight(
         raise UavrlError(
             f"perception.motion={motion:g} looks farther than the LiDAR, which reaches {scanning.farthest:g} m: leave "
             f"{FAR_RANGE} out, choose another env.lidar, or lower perception.motion."
+        )
+    if motion is not None and not looks_around(lidar.device):
+        log.warning(
+            "The LiDAR %s does not look all around, so static obstacles seem to move when it turns: choose another "
+            "env.lidar for perception.motion.",
+            lidar.device.name,
         )
     return perception if scanning.far_range == lidar.far_range else {**perception, "lidar": scanning}
 

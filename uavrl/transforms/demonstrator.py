@@ -36,7 +36,7 @@ class Demonstrator(Shown, Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.in_keys:
             entry(next_tensordict, key, self)
-        acted = self.demonstrator(next_tensordict.copy())
+        acted = self.demonstrator(next_tensordict.exclude("action"))
         action = acted.get("action", None) if isinstance(acted, TensorDictBase) else None
         self._require_action(action, (*next_tensordict.batch_size, self.actions))
         assert action is not None
@@ -48,14 +48,14 @@ class Demonstrator(Shown, Transform):
     def _require_action(self, action: Any, shape: tuple[int, ...]) -> None:
         """Refuse what cannot be flown, in the name of who made it."""
         if not isinstance(action, torch.Tensor):
-            wrong = "nothing of that name; forward must set it in the TensorDict and return that"
+            wrong = "none: set it in the TensorDict, and return that"
         elif action.shape != shape:
             wrong = f"the shape {list(action.shape)}"
         elif not action.isfinite().all():
             wrong = "NaN or infinity"
         else:
             return
-        name = type(self.demonstrator).__name__
+        name = getattr(self.demonstrator, "__name__", type(self.demonstrator).__name__)
         raise UavrlError(
             f"The demonstrator {name} must write action, finite numbers of shape {list(shape)}, got {wrong}."
         )
