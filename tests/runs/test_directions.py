@@ -79,11 +79,22 @@ def test_a_folder_from_elsewhere_is_not_followed(own: Path, tmp_path: Path) -> N
     run = create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))
     (run / "lidar_directions.csv").unlink()
     (run / "lidar_directions.csv").symlink_to(own / "rays.csv")
-    assert OmegaConf.select(read_config(run), KEY) == "lidar_directions.csv"
+    with pytest.raises(UavrlError, match=r"lidar_directions\.csv"):
+        read_config(run)
     for file in ("/dev/zero", "/dev/null\0"):
         config = resolve(small_config(tmp_path / "other", f"env.lidar={own / 'mine.yaml'}"))
         OmegaConf.update(config, KEY, file)
         assert len(fingerprint(config)) == 64
+
+
+def test_a_copy_that_is_gone_is_not_looked_for_elsewhere(
+    own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))
+    (run / "lidar_directions.csv").rename(own / "lidar_directions.csv")
+    monkeypatch.chdir(own)
+    with pytest.raises(UavrlError, match=rf"{run}/lidar_directions\.csv cannot be read \(No such file or directory\)"):
+        rays_of(run)
 
 
 def test_an_exported_policy_has_them_too(own: Path, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def count_filled(points: np.ndarray, polygons: np.ndarray | Sequence[np.ndarray]
             lists.setdefault(len(polygon), []).append(polygon)
         sizes = {size: np.array(same) for size, same in lists.items()}
     parts = (
-        (same[first : first + _AT_ONCE])
+        same[first : first + _AT_ONCE]
         for size, same in sizes.items()
         if size > 3
         for first in range(0, len(same), _AT_ONCE)

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.errors import UavrlError
 from uavrl.runs.names import DIRECTIONS
+from uavrl.runs.trust import check_links
 from uavrl_onboard.files import replacing
 
 KEY = "perception.lidar.sensor.directions"
@@ -37,8 +38,12 @@ def keep_directions(config: DictConfig, folder: Path) -> None:
 def use_kept_directions(config: DictConfig, folder: Path) -> None:
     """Let the configuration of a run or a policy name the copy in its folder, wherever that is now."""
     original = _named(config)
-    if original is not None and (kept := _copy_of(original, folder)).is_file() and not kept.is_symlink():
-        OmegaConf.update(config, KEY, str(kept.resolve()))
+    if original is None:
+        return
+    check_links(folder, DIRECTIONS)
+    kept = _copy_of(original, folder)
+    if kept.is_file() or original.name == str(original):  # a name alone is that of the copy, and of nothing elsewhere
+        OmegaConf.update(config, KEY, str(kept.absolute()))
 
 
 def with_name_alone(config: DictConfig) -> DictConfig:
