@@ -152,8 +152,8 @@ def test_so_are_ours(arguments: list[str], told: str, refused: Callable[..., str
     [
         (
             ["policy=bst"],
-            "policy must be one of straight, vfh, vfh_mapped, vfh_privileged, vfh_star, mppi, potential_field, "
-            "rrt_connect, rrt_map, best, best_dynamic, got 'bst': did you mean best?",
+            "policy must be one of straight, vfh, vfh_mapped, vfh_mapped_traps, vfh_privileged, vfh_star, mppi, "
+            "potential_field, rrt_connect, rrt_map, best, best_dynamic, got 'bst': did you mean best?",
         ),
         (
             ["policy=best,vfh"],

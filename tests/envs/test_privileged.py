@@ -20,7 +20,7 @@ def test_it_is_emitted_where_it_is_asked_for_alone() -> None:
     asked = NavigationEnv(
         1,
         world=WORLD,
-        privileged=["wind", "planes", "clearance", "way", "mapped_way"],
+        privileged=["wind", "planes", "clearance", "way", "mapped_way", "traps"],
         aerodynamics={"wind": (3, 0, 0)},
     )
     plain = NavigationEnv(1, world=WORLD, aerodynamics={"wind": (3, 0, 0)})
@@ -60,6 +60,27 @@ def test_far_planes_are_absent_and_near_ones_come_first() -> None:
     assert not told[2].any()
 
 
+def test_traps_are_those_of_the_valley_that_a_vehicle_is_in() -> None:
+    world = WorldConfig(seeds=(100, 101, 102, 103), obstacles=5, traps=(0, 3))
+    env = NavigationEnv(6, world=world, privileged=["traps"], blind=True, max_steps=2)
+    found = env.rollout(8, break_when_any_done=False)
+    built = torch.where(found["world_seed"] % 2 == 1, 3.0, 0.0)
+    assert built.unique().tolist() == [0.0, 3.0], "valleys of both kinds were drawn"
+    torch.testing.assert_close(found["traps"], built)
+    env.close()
+
+
+def test_traps_are_right_where_some_of_the_valleys_are_built() -> None:
+    world = WorldConfig(seeds=tuple(range(100, 108)), obstacles=5, traps=(0, 0, 0, 3))
+    env = NavigationEnv(1, world=world, privileged=["traps"], blind=True, tasks=range(3), max_steps=1)
+    found = env.rollout(3, break_when_any_done=False)
+    torch.testing.assert_close(found["traps"], torch.where(found["world_seed"] % 4 == 3, 3.0, 0.0))
+    assert len(env.world.places) < 8
+    env.close()
+
+
 def test_another_quantity_is_refused() -> None:
-    with pytest.raises(UavrlError, match="privileged takes any of clearance, planes, wind, way, mapped_way, got sun"):
+    with pytest.raises(
+        UavrlError, match="privileged takes any of clearance, planes, wind, way, mapped_way, traps, got sun"
+    ):
         NavigationEnv(1, privileged=["sun"])

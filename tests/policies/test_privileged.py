@@ -13,7 +13,7 @@ from tensordict import TensorDict
 from uavrl.config import compose
 from uavrl.envs.privileged import as_moving_objects, nearest_planes
 from uavrl.policies.baselines import COSTS, VectorFieldHistogram
-from uavrl.policies.privileged import CAUTION, HEADWAY, MappedVFH, PrivilegedVFH
+from uavrl.policies.privileged import CAUTION, HEADWAY, MappedVFH, PrivilegedVFH, TrapMappedVFH
 
 COST = replace(COSTS["range_image", "proximity"], caution=CAUTION, headway=HEADWAY)
 TOLD = {"reduction": "range_image", "last_action": True}
@@ -62,11 +62,22 @@ def test_it_evades_planes_as_vfh_evades_moving_objects() -> None:
     assert (alone - evading).abs().amax(-1).gt(0.1).float().mean() > 0.2
 
 
+def test_it_follows_the_map_where_there_are_dead_ends_alone() -> None:
+    told = states(64, seed=2)
+    told["mapped_way"] = torch.nn.functional.normalize(torch.randn(64, 2, generator=torch.Generator().manual_seed(3)))
+    told["traps"] = torch.arange(64)[:, None] % 3 * 1.0
+    among, mapped = TrapMappedVFH(**TOLD)(told.copy())["action"], MappedVFH(**TOLD)(told.copy())["action"]
+    plain = VectorFieldHistogram(costs=COST, **TOLD)(told.copy())["action"]
+    torch.testing.assert_close(among, torch.where(told["traps"] > 0, mapped, plain))
+    assert (mapped - plain).abs().amax(-1).gt(0.1).float().mean() > 0.5
+
+
 def test_its_costs_are_those_of_vfh_headway() -> None:
     written = compose("preset=dagger").demonstrator.costs
     assert dataclasses.asdict(COST) == dict(written)
-    assert PrivilegedVFH(**TOLD).costs == MappedVFH(**TOLD).costs == COST
+    assert PrivilegedVFH(**TOLD).costs == MappedVFH(**TOLD).costs == TrapMappedVFH(**TOLD).costs == COST
     assert dict(compose("preset=dagger", "demonstrator=vfh_mapped").demonstrator.costs) == dict(written)
+    assert dict(compose("preset=dagger", "demonstrator=vfh_mapped_traps").demonstrator.costs) == dict(written)
 
 
 def test_absent_planes_are_unknown() -> None:
@@ -80,4 +91,7 @@ def test_it_names_what_it_reads() -> None:
     ]  # fmt: skip
     assert "planes" not in PrivilegedVFH(planes=False).in_keys
     assert MappedVFH(**TOLD).in_keys == ["faces", "altitude", "mapped_way", "observation"]
+    assert TrapMappedVFH(**TOLD).in_keys == [
+        "faces", "altitude", "mapped_way", "observation", "heading_deg", "traps",
+    ]  # fmt: skip
     assert "moving_objects" in MappedVFH(motion=12.0, **TOLD).in_keys

@@ -109,7 +109,12 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(overrides: list[str]
 
 
 @pytest.mark.parametrize(
-    ("demonstrator", "read"), [("vfh_privileged", {"way", "planes"}), ("vfh_mapped", {"mapped_way"})]
+    ("demonstrator", "read"),
+    [
+        ("vfh_privileged", {"way", "planes"}),
+        ("vfh_mapped", {"mapped_way"}),
+        ("vfh_mapped_traps", {"mapped_way", "traps"}),
+    ],
 )
 def test_a_demonstrator_may_read_what_the_policy_never_does(demonstrator: str, read: set[str]) -> None:
     told = [f"demonstrator={demonstrator}", "perception=range_image", "perception.last_action=true"]

@@ -285,6 +285,8 @@ class NavigationEnv(EnvBase):
         data |= quantities(self.simulation, self._goal, clearance=self.measure_clearance)
         if self._mapped is not None:
             data["mapped_way"] = self._mapped.directions(data, self._rows(index))
+        if "traps" in self.privileged:
+            data["traps"] = np.array([len(self.world.places[place].traps) for place in self._place_of])
         return data | privileged(self.privileged, self.simulation, self.traffic, self._ways)
 
     def _rows(self, index: np.ndarray) -> np.ndarray:

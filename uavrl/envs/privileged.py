@@ -17,6 +17,7 @@ SIGHT = 20.0  # m, beyond which a plane counts as absent
 FASTEST = 4.0  # m/s, by which the velocities of planes are divided
 STRONGEST = 5.0  # m/s, by which the wind is divided
 FARTHEST = 5.0  # m, up to which the simulation measures distances
+MANY = 3.0  # dead ends, by which their number is divided
 
 
 @dataclass(frozen=True)
@@ -38,13 +39,15 @@ QUANTITIES: Mapping[str, Quantity] = {
     "wind": Quantity((1.0, -1.0, 1.0), STRONGEST),
     "way": Quantity((1.0, -1.0)),
     "mapped_way": Quantity((1.0, -1.0)),
+    "traps": Quantity((1.0,), MANY),
 }
 """``clearance``: m from the hull to the nearest thing, at most 5. ``planes``: of each of the three nearest within 20 m,
 its direction times ``1 - distance / 20``, and its velocity over 4 m/s; zeros for an absent one. ``wind``: m/s, without
 gusts. ``way``: the unit vector, forward and left, to the point 2 to 2.8 m ahead on the shortest path to the goal around
 static obstacles, at the flight level. ``mapped_way``: the unit vector, forward and left, to the goal, or along the
 quickest way through a map of what the LiDAR has shown in the episode while that is a detour of some metres
-(:mod:`uavrl.envs.mapped_way`). The axes are forward, left and up of the vehicle, rotated by its yaw only."""
+(:mod:`uavrl.envs.mapped_way`). ``traps``: how many dead ends were built into the vehicle's valley, 0 in other worlds.
+The axes are forward, left and up of the vehicle, rotated by its yaw only."""
 
 
 def privileged(
@@ -52,7 +55,7 @@ def privileged(
 ) -> dict[str, np.ndarray]:
     """Return those of the quantities of all vehicles ``[N, ...]`` that are asked for; ``way`` needs ``ways``.
 
-    ``mapped_way`` is not among them: it takes scans (:mod:`uavrl.envs.mapped_way`).
+    ``mapped_way`` and ``traps`` are not among them: they take scans (:mod:`uavrl.envs.mapped_way`) and places.
     """
     found: dict[str, np.ndarray] = {}
     if "clearance" in names:

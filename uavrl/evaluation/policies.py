@@ -30,6 +30,7 @@ BASELINES = {
     "straight": "uavrl.policies.baselines.StraightPolicy",
     "vfh": "uavrl.policies.baselines.VectorFieldHistogram",
     "vfh_mapped": "uavrl.policies.privileged.MappedVFH",
+    "vfh_mapped_traps": "uavrl.policies.privileged.TrapMappedVFH",
     "vfh_privileged": "uavrl.policies.privileged.PrivilegedVFH",
     "vfh_star": "uavrl.planners.vfh_star.VFHStar",
     "mppi": "uavrl.planners.mppi.MPPI",

@@ -1,7 +1,7 @@
 """Demonstrators that head along a way that the environment emits, instead of towards the goal."""
 
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from tensordict import TensorDictBase
@@ -55,9 +55,43 @@ class MappedVFH(VectorFieldHistogram):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` as its base does, with the direction of the way as the heading."""
-        ahead, left = tensordict[self.heading_key].unbind(-1)
-        led = tensordict.copy().set("heading_deg", torch.rad2deg(torch.atan2(left, ahead))[..., None])
+        led = tensordict.copy().set("heading_deg", self.heading_deg(tensordict))
         return tensordict.set("action", super().forward(led)["action"])
+
+    def heading_deg(self, tensordict: TensorDictBase) -> Tensor:
+        """Return where it heads, ``[..., 1]`` degrees."""
+        ahead, left = tensordict[self.heading_key].unbind(-1)
+        return torch.rad2deg(torch.atan2(left, ahead))[..., None]
+
+
+class TrapMappedVFH(MappedVFH):
+    """A vector field histogram that leaves dead ends in valleys that were built with them, and else heads for the goal.
+
+    In valleys with dead ends it is :class:`MappedVFH`. Elsewhere long detours around single obstacles do not lead it
+    away from the goal's direction, which a policy can imitate more easily.
+
+    The environment emits what it reads (``mapped_way`` and ``traps`` of :data:`uavrl.envs.privileged.QUANTITIES`).
+
+    Its arguments are those of :class:`MappedVFH`.
+
+    Examples:
+        The way leads to the left, which counts only where there are dead ends:
+
+        >>> from tensordict import TensorDict
+        >>> way, altitude = torch.tensor([[0.0, 1.0]]).expand(2, 2), torch.full((2, 1), 3.5)
+        >>> state = {"faces": torch.zeros(2, 32), "altitude": altitude, "heading_deg": torch.zeros(2, 1)}
+        >>> state |= {"mapped_way": way, "traps": torch.tensor([[3.0], [0.0]])}
+        >>> TrapMappedVFH()(TensorDict(state, [2]))["action"][:, 1].gt(1.9).tolist()
+        [True, False]
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.in_keys += ["heading_deg", "traps"]
+
+    def heading_deg(self, tensordict: TensorDictBase) -> Tensor:
+        """Return the direction of the way, and where there are no dead ends that of the goal."""
+        return torch.where(tensordict["traps"] > 0, super().heading_deg(tensordict), tensordict["heading_deg"])
 
 
 class PrivilegedVFH(MappedVFH):
