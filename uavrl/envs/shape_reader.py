@@ -27,7 +27,7 @@ CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".npz")
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization")
 LOOKS = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")  # which change no surface
 FAN = 6  # of the ways in which a GLB joins corners
-_RELATIVE = re.compile(rb"(?:\A|[\r\n])[ \t]*f(?=[ \t])[^\r\n#]*[ \t/]-[0-9]")  # a face of an OBJ
+_RELATIVE = re.compile(rb"(?:\A|[\r\n])[ \t]*f(?=[ \t])[^\r\n#]*(?:[ \t/]-[0-9]|[ \t]0+(?![0-9]))")  # of an OBJ
 
 
 class Unread(ValueError):
@@ -82,12 +82,15 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _require_absolute(file: BinaryIO, suffix: str) -> None:
-    """Refuses an OBJ whose faces count corners backwards: trimesh takes other corners then."""
+    """Refuses an OBJ whose faces count corners backwards or from 0: trimesh takes other corners then."""
     if suffix != ".obj":
         return
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         if _RELATIVE.search(content):
-            raise Unread("has faces with relative (negative) indices, which are not read: export it with absolute ones")
+            raise Unread(
+                "has faces with relative (negative) indices or an index 0, which are not read: export it with absolute "
+                "ones, from 1 on"
+            )
         if UNREAD_LINES.search(content):
             raise Unread(
                 "has corners or faces in lines with a tab, or with a blank at the beginning, which are not read: begin "
