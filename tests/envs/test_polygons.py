@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from uavrl.envs.shape_file import read_file
 from uavrl.envs.shape_reader import Unread, read_shape
+from uavrl.errors import UavrlError
 
 # A wall with a door, as one face: up, along the top, down, and around the opening.
 WALL = [(0, 0), (4, 0), (4, 5), (6, 5), (6, 0), (10, 0), (10, 8), (0, 8)]
@@ -27,11 +29,11 @@ def around(count: int, first: int = 0, join: str = " ") -> str:
     return join.join(str((first + corner) % count + 1) for corner in range(count))
 
 
-def ply(corners: list[tuple[int, int]], faces: list[list[int]], *, binary: bool) -> bytes:
+def ply(corners: list[tuple[int, int]], faces: list[list[int]], *, binary: bool, name: str = "vertex_indices") -> bytes:
     kind = "binary_little_endian" if binary else "ascii"
     head = f"ply\nformat {kind} 1.0\nelement vertex {len(corners)}\n"
     head += "property float x\nproperty float y\nproperty float z\n"
-    head += f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    head += f"element face {len(faces)}\nproperty list uchar int {name}\nend_header\n"
     if binary:
         body = b"".join(struct.pack("<3f", 0, *corner) for corner in corners)
         return head.encode() + body + b"".join(struct.pack(f"<B{len(face)}i", len(face), *face) for face in faces)
@@ -59,6 +61,17 @@ def test_a_wall_with_a_door_is_no_wall(first: int, tmp_path: Path) -> None:
     for binary in (False, True):
         with pytest.raises(Unread, match=CONCAVE):
             read(tmp_path / "wall.ply", ply(WALL, [face], binary=binary))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.001])
+@pytest.mark.parametrize("first", range(8))
+def test_so_is_a_door_in_a_long_wall(first: int, scale: float, tmp_path: Path) -> None:
+    """Less than 1 % of the wall, in metres and in millimetres."""
+    metres = [(0, 0), (19.5, 0), (19.5, 2), (20.5, 2), (20.5, 0), (40, 0), (40, 6), (0, 6)]
+    wall = [(y / scale, z / scale) for y, z in metres]
+    (tmp_path / "wall.obj").write_text(obj(wall, around(8, first)))
+    with pytest.raises(UavrlError, match=r"wall\.obj has 1 face with more than three corners that is not convex"):
+        read_file(tmp_path / "wall.obj", scale)
 
 
 def test_a_tunnel_with_a_smooth_arch_stays_open(tmp_path: Path) -> None:
@@ -153,6 +166,12 @@ def glb(change: Any) -> bytes:
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
 
 
+def morphed(about: dict[str, Any], weight: float) -> None:
+    mesh = about["meshes"][0]
+    mesh["primitives"][0]["targets"] = [{"POSITION": mesh["primitives"][0]["attributes"]["POSITION"]}]
+    mesh["weights"] = [weight]
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -165,6 +184,7 @@ def glb(change: Any) -> bytes:
             "sparse acc",
         ),
         (lambda about: about["meshes"][0]["primitives"][0].update(mode=6), "has triangle fans, which are not read"),
+        (lambda about: morphed(about, 0.5), "has morph targets, which are not read"),
     ],
 )
 def test_what_a_glb_needs_is_read_or_refused(change: Any, told: str, tmp_path: Path) -> None:
@@ -172,6 +192,23 @@ def test_what_a_glb_needs_is_read_or_refused(change: Any, told: str, tmp_path: P
         read(tmp_path / "a.glb", glb(change))
     looks = glb(lambda about: about.update(extensionsRequired=["KHR_texture_transform", "KHR_materials_unlit"]))
     assert len(read(tmp_path / "a.glb", looks)[1]) == 12
+    assert len(read(tmp_path / "a.glb", glb(lambda about: morphed(about, 0.0)))[1]) == 12, "at rest"
+
+
+@pytest.mark.parametrize(
+    ("binary", "told"),
+    [(True, "^has 2 faces with more than three corners that are not convex"), (False, "otherwise than vertex_indices")],
+)
+def test_a_list_of_another_name_is_judged_as_well(binary: bool, told: str, tmp_path: Path) -> None:
+    """trimesh takes the only list of a face in a binary file, whatever its name is."""
+    with pytest.raises(Unread, match=told):
+        read(tmp_path / "a.ply", ply(WALL, [list(range(8))] * 2, binary=binary, name="vertices"))
+
+
+def test_an_npz_without_arrays_is_told(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz")
+    with pytest.raises(ValueError, match="holds no array"):
+        read_shape(tmp_path / "a.npz", 2**30)
 
 
 def test_points_are_preferred_among_the_arrays_of_an_npz(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from omegaconf import OmegaConf
 from uavrl import load_policy
 from uavrl.config import compose, resolve, validate
 from uavrl.config.settings import EvaluateConfig
-from uavrl.envs.sensors import SENSORS, lidar_sensor
+from uavrl.envs.guarding import looks_around
+from uavrl.envs.sensors import SENSORS, LidarSensor, lidar_sensor
 from uavrl.errors import UavrlError
 from uavrl.evaluation.field_of_view import (
     check_field_of_view,
@@ -31,6 +32,18 @@ UNSEEN = {"vlp16": 0, "os0_32": 0, "os0_128": 0, "os1_64": 0, "xt32": 0, "mid360
 
 def perception(*overrides: str) -> dict[str, Any]:
     return validate(compose("perception=range_image", *overrides, name="evaluate"), EvaluateConfig).perception
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "steps", "around"),
+    [
+        *(((-180.0, 180.0), 30, True), ((-180.0, 180.0), 3, True), ((-180.0, 180.0), 360, True)),
+        *(((-170.0, 170.0), 340, False), ((-45.0, 45.0), 4, False), ((-180.0, 180.0), 1, False)),
+    ],
+)
+def test_a_lidar_looks_around_if_no_side_is_missing(azimuth: tuple[float, float], steps: int, around: bool) -> None:
+    device = LidarSensor("mine", elevations=(-5.0, 5.0), azimuth_steps=steps, azimuth=azimuth)
+    assert looks_around(device) == around
 
 
 def test_the_cells_that_each_sensor_never_sees_are_counted() -> None:

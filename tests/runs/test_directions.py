@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ from uavrl.evaluation.field_of_view import trained_sensor
 from uavrl.export.export import export_policy
 from uavrl.runs.config import fingerprint, read_config
 from uavrl.runs.directions import KEY
-from uavrl.training.run import create_run
+from uavrl.training.run import create_run, train
+from uavrl.training.sweep import require_same_run
 
 RAYS = np.array([[azimuth, elevation] for azimuth in range(-180, 180, 4) for elevation in (-10, 0, 10)], float)
 
@@ -74,13 +76,53 @@ def test_rays_that_vanish_before_a_run_begins_are_named(own: Path, tmp_path: Pat
         create_run(config)
 
 
-def test_a_folder_from_elsewhere_is_not_followed(own: Path, tmp_path: Path) -> None:
-    """A link in the place of the copy, and a file that never ends in the place of the directions."""
+def test_a_folder_of_links_is_read_and_nothing_is_written_through_them(own: Path, tmp_path: Path) -> None:
+    """The cache of the Hugging Face Hub holds each file as a link to a folder beside it."""
+    run = create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))
+    blob = (run / "lidar_directions.csv").rename(tmp_path / "blob")
+    (run / "lidar_directions.csv").symlink_to(blob)
+    gone(own)
+    assert rays_of(run).shape == (270, 3)
+    with pytest.raises(UavrlError, match=r"lidar_directions\.csv is a link that leads out of"):
+        train(read_config(run), run, resume=True)
+
+
+def test_a_file_of_the_users_is_not_overwritten(own: Path, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    precious = tmp_path / "run" / "lidar_directions.csv"
+    precious.write_text("precious")
+    with pytest.raises(UavrlError, match=r"lidar_directions\.csv would be overwritten by .*rays\.csv: choose another"):
+        create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))
+    assert precious.read_text() == "precious"
+    precious.write_bytes((own / "rays.csv").read_bytes())
+    assert (
+        rays_of(create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))).shape[0] == 270
+    )
+
+
+def test_a_sensor_keeps_its_rays_when_its_file_changes(own: Path) -> None:
+    before = lidar_sensor(str(own / "mine.yaml"))
+    np.savetxt(own / "rays.csv", RAYS[:3], delimiter=",")
+    after = lidar_sensor(str(own / "mine.yaml"))
+    assert (before.num_rays, after.num_rays) == (270, 3) and before != after
+
+
+def test_another_sweep_is_told_that_the_rays_are_others(own: Path, tmp_path: Path) -> None:
+    chosen = f"env.lidar={own / 'mine.yaml'}"
+    run = create_run(resolve(small_config(tmp_path / "run", chosen)))
+    np.savetxt(own / "rays.csv", RAYS[:3], delimiter=",")
+    with pytest.raises(
+        UavrlError, match=r"other settings \(the rays in the file of perception\.lidar\.[a-z.]* are others"
+    ):
+        require_same_run(run, resolve(small_config(tmp_path / "run", chosen)))
+
+
+def test_a_file_that_never_ends_is_not_read(own: Path, tmp_path: Path) -> None:
     run = create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))
     (run / "lidar_directions.csv").unlink()
-    (run / "lidar_directions.csv").symlink_to(own / "rays.csv")
-    with pytest.raises(UavrlError, match=r"lidar_directions\.csv"):
-        read_config(run)
+    (run / "lidar_directions.csv").symlink_to("/dev/zero")
+    with pytest.raises(UavrlError, match=r"lidar_directions\.csv are no file"):
+        rays_of(run)
     for file in ("/dev/zero", "/dev/null\0"):
         config = resolve(small_config(tmp_path / "other", f"env.lidar={own / 'mine.yaml'}"))
         OmegaConf.update(config, KEY, file)
@@ -93,7 +135,9 @@ def test_a_copy_that_is_gone_is_not_looked_for_elsewhere(
     run = create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))
     (run / "lidar_directions.csv").rename(own / "lidar_directions.csv")
     monkeypatch.chdir(own)
-    with pytest.raises(UavrlError, match=rf"{run}/lidar_directions\.csv cannot be read \(No such file or directory\)"):
+    with pytest.raises(
+        UavrlError, match=rf"{re.escape(str(run))}/lidar_directions\.csv cannot be read \(No such file or directory\)"
+    ):
         rays_of(run)
 
 

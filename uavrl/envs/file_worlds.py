@@ -198,7 +198,7 @@ class MeshConfig(FileWorld):
 
     def shape(self, path: Path) -> tuple[np.ndarray, Surface]:
         """The mesh's triangles."""
-        points, triangles = read_file(path)
+        points, triangles = read_file(path, self.scale)
         if not len(triangles):
             instead = "env=cloud reads point clouds" if len(points) else "name another file"
             raise UavrlError(f"{path} has {len(points):,} points and no triangles: {instead}.")
@@ -242,7 +242,7 @@ class CloudConfig(FileWorld):
 
     def shape(self, path: Path) -> tuple[np.ndarray, Surface]:
         """The faces of solid voxels, and the middles of their tops."""
-        points, triangles = read_file(path)
+        points, triangles = read_file(path, self.scale)
         if len(triangles):
             raise UavrlError(f"{path} has {len(triangles):,} triangles, and a point cloud has none: use env=mesh.")
         points = points[np.isfinite(points).all(1)]  # sensors write what they missed as NaN

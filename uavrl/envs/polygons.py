@@ -8,15 +8,16 @@ from typing import Any, BinaryIO
 import numpy as np
 
 MOST_FILLED = 0.01  # of a face's area: what a fan may cover outside of the face, as scanned and sculpted meshes have it
+OPENING = 0.05  # m², which is more than a fan may cover outside of any face: nothing flies through less
 _AT_ONCE = 100_000  # polygons
 _CORNERS = ("vertex_indices", "vertex_index")  # what the list of a PLY's face is called
 UNREAD_LINES = re.compile(rb"(?:\A|[\r\n])(?:[ \t]+[vf][ \t]|[vf]\t)")  # of an OBJ: trimesh leaves them out
 
 
-def count_filled(points: np.ndarray, polygons: np.ndarray | Sequence[np.ndarray]) -> int:
-    """How many polygons, given by the numbers of their corners among ``points [P, 3]``, a fan does not fit.
+def count_filled(points: np.ndarray, polygons: np.ndarray | Sequence[np.ndarray], opening: float = OPENING) -> int:
+    """Count the polygons that a fan does not fit, given by the numbers of their corners among ``points [P, 3]``.
 
-    An array ``[F, N]`` holds F polygons of N corners.
+    An array ``[F, N]`` holds F polygons of N corners. ``opening`` is the least area that must stay open.
 
     Examples:
         >>> square = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [0.5, 0.5, 0]])
@@ -38,21 +39,21 @@ def count_filled(points: np.ndarray, polygons: np.ndarray | Sequence[np.ndarray]
         if size > 3
         for first in range(0, len(same), _AT_ONCE)
     )
-    return sum(int(_overlaps(points[part]).sum()) for part in parts)
+    return sum(int(_is_filled(points[part], opening).sum()) for part in parts)
 
 
-def _overlaps(corners: np.ndarray) -> np.ndarray:
-    """Of which polygons ``[K, N, 3]`` the fan from the first corner has triangles that point the other way."""
+def _is_filled(corners: np.ndarray, opening: float) -> np.ndarray:
+    """Tell in which polygons ``[K, N, 3]`` the fan from the first corner has triangles that point the other way."""
     spokes = corners[:, 1:] - corners[:, :1]
     triangles = np.cross(spokes[:, :-1], spokes[:, 1:])
     whole = triangles.sum(1)
     area = np.linalg.norm(whole, axis=-1)
     along = np.einsum("kni,ki->kn", triangles, whole / np.maximum(area, 1e-300)[:, None])
-    return -np.minimum(along, 0.0).sum(1) > MOST_FILLED * area
+    return -np.minimum(along, 0.0).sum(1) > np.minimum(MOST_FILLED * area, 2 * opening)  # all of them twice
 
 
-def filled_in_obj(file: BinaryIO) -> int:
-    """How many faces of an OBJ a fan does not fit."""
+def filled_in_obj(file: BinaryIO, opening: float = OPENING) -> int:
+    """Count the faces of an OBJ that a fan does not fit."""
     points, before = array("d"), b""
     faces: dict[int, array[int]] = {}
     for part in file:
@@ -68,18 +69,20 @@ def filled_in_obj(file: BinaryIO) -> int:
             faces.setdefault(len(words) - 1, array("q")).extend(corners)
     file.seek(0)
     places = np.array(points).reshape(-1, 3)
-    return sum(count_filled(places, np.array(same).reshape(-1, size)) for size, same in faces.items())
+    return sum(count_filled(places, np.array(same).reshape(-1, size), opening) for size, same in faces.items())
 
 
 def polygons_of_ply(raw: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray | Sequence[np.ndarray], bool]:
-    """Corners and faces of a PLY as trimesh keeps them, and whether it read as many corners of each face as it has."""
+    """Return corners and faces of a PLY as trimesh keeps them, and whether it read all corners of each face."""
     none = np.zeros((0, 3), np.int64)
     data, corners = raw.get("face", {}).get("data"), raw.get("vertex", {}).get("data")
     if data is None or corners is None:
         return np.zeros((0, 3)), none, True
     points = np.column_stack([np.asarray(corners[axis], float).ravel() for axis in "xyz"])
-    names = data.keys() if isinstance(data, Mapping) else data.dtype.names or ()
+    names = tuple(data) if isinstance(data, Mapping) else tuple(data.dtype.names or ())
     name = next((name for name in _CORNERS if name in names), None)
+    if name is None and isinstance(data, np.ndarray) and len(names) == 1:
+        name = names[0]  # which trimesh takes, whatever it is called
     if name is None:
         return points, none, True
     if isinstance(data, Mapping):  # of an ASCII file: [F, N], arrays of different lengths, or [N] of a single face

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -78,6 +78,7 @@ class LidarSensor:
     range_noise: float = 0.0
     stride: int = 1
     pattern: Literal["grid", "vlp16", "rosette", "camera"] = "grid"
+    _stamp: tuple[int, int] | None = field(default=None, init=False, repr=False)  # of the file: when changed, its size
 
     def __post_init__(self) -> None:
         """Refuse a sensor that nothing can be seen with."""
@@ -113,7 +114,7 @@ class LidarSensor:
         if (self.directions is None) == (self.elevations is None):
             raise UavrlError(f"The LiDAR {self.name!r} needs one kind of rays: {own}.")
         if self.elevations is None:
-            _forget_if_changed(Path(str(self.directions)))
+            object.__setattr__(self, "_stamp", _stamp_of(Path(str(self.directions))))
             rays_of(self)  # which reads the file
             return
         require_finite(self, ("elevations",))
@@ -164,8 +165,13 @@ class LidarSensor:
         x, y, z = self.rays.directions.reshape(-1, 3).astype(float).T
         azimuth, elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
         around = np.sort(azimuth)
-        gap = np.diff(around, append=around[0] + 360).max()
-        sides = (-180.0, 180.0) if gap < 10.0 else (float(around[0]), float(around[-1]))
+        gaps = np.diff(around, append=around[0] + 360)
+        usual = np.median(gaps[gaps > 0.01]) if (gaps > 0.01).any() else 0.0
+        sides = (
+            (-180.0, 180.0)
+            if gaps.max() < min(max(10.0, 1.5 * usual), 180.0)
+            else (float(around[0]), float(around[-1]))
+        )
         rounded = [round(angle, 1) + 0.0 for angle in (*sides, float(elevation.min()), float(elevation.max()))]
         return rounded[0], rounded[1], rounded[2], rounded[3]
 
@@ -258,7 +264,7 @@ def sensor_settings(given: Any) -> Any:
 
 
 def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
-    known = [each.name for each in fields(LidarSensor) if each.name != "pattern"]
+    known = [each.name for each in fields(LidarSensor) if each.init and each.name != "pattern"]
     values: dict[str, Any] = {}
     for key, value in settings.items():
         if key not in known:
@@ -278,17 +284,12 @@ def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
     return LidarSensor(**values)
 
 
-_read_before: dict[Path, tuple[int, int]] = {}  # when files of directions had changed, and their sizes
-
-
-def _forget_if_changed(path: Path) -> None:
-    """Read the directions again if their file is another than before."""
+def _stamp_of(path: Path) -> tuple[int, int] | None:
+    """Return what tells one version of a file from another, None if there is none."""
     with suppress(OSError):
         found = path.stat()
-        now = found.st_mtime_ns, found.st_size
-        if _read_before.setdefault(path, now) != now:
-            _read_before[path] = now
-            rays_of.cache_clear()
+        return found.st_mtime_ns, found.st_size
+    return None
 
 
 @lru_cache(maxsize=16)
@@ -389,6 +390,8 @@ def _read(name: str, path: Path) -> np.ndarray:
         size = path.stat().st_size
     except OSError as error:
         raise UavrlError(f"{told} cannot be read ({error.strerror}): name a file that is there.") from error
+    if not path.is_file():  # but a folder or a device, which may have no end
+        raise UavrlError(f"{told} are no file: name one.")
     if size > _LARGEST_FILE:
         raise UavrlError(f"{told} have more than {_LARGEST_FILE:,} bytes, which no sensor needs: give fewer rays.")
     try:

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from uavrl.envs import shape_reader
+from uavrl.envs.polygons import OPENING
 from uavrl.errors import MissingExtra, UavrlError
 
 Up = Literal["x", "y", "z"]
@@ -65,11 +66,15 @@ def require_file(file: str, suffixes: tuple[str, ...], key: str = "env.world.fil
     return path
 
 
-def read_file(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points ``float64 [P, 3]`` and triangles ``[F, 3]`` as the file has them, read by another process."""
+def read_file(path: Path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Points ``float64 [P, 3]`` and triangles ``[F, 3]`` as the file has them, read by another process.
+
+    ``scale`` is its unit in metres, which tells the size of an opening that must stay one.
+    """
     before = _settled(path)
     with tempfile.TemporaryDirectory(prefix="uavrl-") as folder:
-        command = [sys.executable, "-P", "-m", shape_reader.__name__, str(path), folder, str(MOST_MEMORY)]
+        limits = [str(MOST_MEMORY), str(OPENING / scale**2)]
+        command = [sys.executable, "-P", "-m", shape_reader.__name__, str(path), folder, *limits]
         paths = os.pathsep.join(each for each in sys.path if each)
         try:
             done = subprocess.run(

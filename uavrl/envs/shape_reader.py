@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from uavrl.envs.polygons import UNREAD_LINES, count_filled, filled_in_obj, polygons_of_ply
+from uavrl.envs.polygons import OPENING, UNREAD_LINES, count_filled, filled_in_obj, polygons_of_ply
 
 MESHES = (".stl", ".obj", ".ply", ".glb")
 CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".npz")
@@ -34,7 +34,7 @@ class Unread(ValueError):
     """A whole file that uses something that is not read: what, and what to do, as the rest of a sentence."""
 
 
-def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
+def read_shape(path: Path, most: int, opening: float = OPENING) -> tuple[np.ndarray, np.ndarray]:
     """Points ``[P, 3]`` and triangles ``[F, 3]`` of a file; a point cloud has no triangles."""
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
@@ -51,7 +51,7 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
         _require_absolute(file, suffix)
         _require_plain(file, suffix)
         if suffix == ".obj":
-            _require_fans(filled_in_obj(file))
+            _require_fans(filled_in_obj(file, opening))
         import trimesh
 
         if suffix == ".xyz":
@@ -64,6 +64,8 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
             scene = trimesh.load_scene(
                 file, file_type=suffix[1:], resolver={}, allow_remote=False, skip_materials=True, process=False
             )
+        except UnboundLocalError as error:  # by trimesh, for a PLY in which it does not find them
+            raise Unread("names the corners of its faces otherwise than vertex_indices: export it again") from error
         except ValueError as error:
             if "unexpected length" not in str(error):
                 raise
@@ -71,7 +73,7 @@ def read_shape(path: Path, most: int) -> tuple[np.ndarray, np.ndarray]:
                 "is shorter or longer than its header tells: if it is still being written, wait. If its faces have "
                 "different numbers of corners, triangulate it when you export it, or export it as ASCII"
             ) from error
-        _require_faces(each for each in scene.geometry.values() if hasattr(each, "faces"))
+        _require_faces((each for each in scene.geometry.values() if hasattr(each, "faces")), opening)
     if not any(isinstance(each, trimesh.Trimesh) and len(each.faces) for each in scene.geometry.values()):
         found = [each.vertices for each in scene.geometry.values() if hasattr(each, "vertices")]
         if not sum(map(len, found)):
@@ -111,6 +113,8 @@ def _require_plain(file: BinaryIO, suffix: str) -> None:
         read = {index for part in parts for index in (part.get("attributes", {}).get("POSITION"), part.get("indices"))}
         sparse = any("sparse" in each for index, each in enumerate(about.get("accessors", ())) if index in read)
         fans = any(part.get("mode") == FAN for part in parts)
+        weights = [each.get("weights", ()) for kind in ("meshes", "nodes") for each in about.get(kind, ())]
+        moved = any(map(any, weights)) and any(part.get("targets") for part in parts)
     except (struct.error, ValueError, TypeError, AttributeError):
         return  # no GLB, which trimesh tells
     finally:
@@ -119,8 +123,8 @@ def _require_plain(file: BinaryIO, suffix: str) -> None:
         raise Unread(f"is compressed with {' and '.join(names)}, which is not read: export it without")
     if names := [name for name in needed if not name.startswith(LOOKS)]:
         raise Unread(f"needs {' and '.join(names)}, which is not read: export it without")
-    if sparse or fans:
-        found = "sparse accessors" if sparse else "triangle fans"
+    if sparse or fans or moved:
+        found = "sparse accessors" if sparse else "triangle fans" if fans else "morph targets"
         raise Unread(f"has {found}, which are not read: export it with plain triangles")
 
 
@@ -135,7 +139,7 @@ def _require_fans(filled: int) -> None:
         raise Unread(f"has {filled:,} {found} not convex, and would be filled: triangulate the mesh when you export it")
 
 
-def _require_faces(geometry: Iterable[Any]) -> None:
+def _require_faces(geometry: Iterable[Any], opening: float) -> None:
     """Refuses a PLY whose faces trimesh reads otherwise."""
     for each in geometry:
         points, polygons, known = polygons_of_ply(each.metadata.get("_ply_raw", {}))
@@ -144,7 +148,7 @@ def _require_faces(geometry: Iterable[Any]) -> None:
                 "has faces with different numbers of corners, which are not read from a binary PLY: triangulate it "
                 "when you export it, or export it as ASCII"
             )
-        _require_fans(count_filled(points, polygons))
+        _require_fans(count_filled(points, polygons, opening))
 
 
 def _array(path: Path, most: int) -> np.ndarray:
@@ -156,6 +160,8 @@ def _array(path: Path, most: int) -> np.ndarray:
             raise MemoryError
     with np.load(path, allow_pickle=False) as data:
         names = [name for name in ("points", "xyz", "vertices") if name in data.files] or data.files
+        if not names:
+            raise ValueError("holds no array")
         if len(names) > 1 and names is data.files:
             raise ValueError(f"holds the arrays {', '.join(data.files)}, of which none is called points")
         return np.asarray(data[names[0]])
@@ -176,11 +182,11 @@ def limit_memory(most: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
 
 
-def main(path: Path, folder: Path, most: int) -> int:
+def main(path: Path, folder: Path, most: int, opening: float) -> int:
     """Reads one file."""
     limit_memory(most)
     try:
-        points, triangles = read_shape(path, most)
+        points, triangles = read_shape(path, most, opening)
         np.save(folder / "points.npy", points)
         np.save(folder / "triangles.npy", triangles)
     except MemoryError:
@@ -198,4 +204,4 @@ def main(path: Path, folder: Path, most: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])))
+    sys.exit(main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4])))

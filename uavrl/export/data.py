@@ -19,6 +19,7 @@ from uavrl.config import TrainConfig, validate
 from uavrl.errors import UavrlError
 from uavrl.export.export import contract
 from uavrl.export.recorded import DATA, FORMAT, STORAGE, VERSION, Recorded, read_recorded
+from uavrl.runs.directions import with_name_alone
 from uavrl.runs.provenance import recorded_versions, versions
 from uavrl.transforms.demonstrator import DEMONSTRATOR_ACTION
 from uavrl.transforms.privileged import PRIVILEGED
@@ -78,7 +79,7 @@ def description(recorded: Recorded, row: TensorDictBase, run: Path) -> dict[str,
     terms = contract(settings, "")
     inputs = {} if terms is None else terms.model_dump(mode="json", include=TERMS, exclude_none=True)
     outcomes = Counter(recorded.outcomes())
-    config = OmegaConf.to_container(recorded.config, resolve=True)
+    config = OmegaConf.to_container(with_name_alone(recorded.config), resolve=True)
     assert isinstance(config, dict)
     return {
         "format": FORMAT,

@@ -65,10 +65,11 @@ class MappedVFH(VectorFieldHistogram):
 
 
 class TrapMappedVFH(MappedVFH):
-    """A vector field histogram that leaves dead ends in valleys that were built with them, and else heads for the goal.
+    """A vector field histogram that leaves dead ends in valleys that were built with them. Elsewhere it has no map.
 
-    In valleys with dead ends it is :class:`MappedVFH`. Elsewhere long detours around single obstacles do not lead it
-    away from the goal's direction, which a policy can imitate more easily.
+    In valleys with dead ends it is :class:`MappedVFH`, and in all other worlds :class:`VectorFieldHistogram`. Only the
+    simulator knows which is which. A policy that clones it learns to leave dead ends, and less often takes long detours
+    where there are none.
 
     The environment emits what it reads (``mapped_way`` and ``traps`` of :data:`uavrl.envs.privileged.QUANTITIES`).
 

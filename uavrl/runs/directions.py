@@ -1,6 +1,7 @@
 """The directions of a LiDAR of one's own: a run keeps a copy of their file, so that it can be moved and shared."""
 
 import copy
+import filecmp
 import hashlib
 import logging
 import shutil
@@ -11,7 +12,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.errors import UavrlError
 from uavrl.runs.names import DIRECTIONS
-from uavrl.runs.trust import check_links
 from uavrl_onboard.files import replacing
 
 KEY = "perception.lidar.sensor.directions"
@@ -29,6 +29,11 @@ def keep_directions(config: DictConfig, folder: Path) -> None:
     if original.resolve() != kept.resolve():
         if not original.is_file():
             raise UavrlError(f"The directions of the LiDAR, {original}, are no longer there: put the file back.")
+        if kept.exists() and not filecmp.cmp(original, kept, shallow=False):
+            raise UavrlError(
+                f"{kept} would be overwritten by the directions of the LiDAR, {original}: choose another folder, or "
+                f"move that file."
+            )
         with replacing(kept) as partial:
             shutil.copyfile(original, partial)
         log.info("The directions of the LiDAR, %s, are copied to %s.", original, kept)
@@ -40,7 +45,6 @@ def use_kept_directions(config: DictConfig, folder: Path) -> None:
     original = _named(config)
     if original is None:
         return
-    check_links(folder, DIRECTIONS)
     kept = _copy_of(original, folder)
     if kept.is_file() or original.name == str(original):  # a name alone is that of the copy, and of nothing elsewhere
         OmegaConf.update(config, KEY, str(kept.absolute()))

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.errors import UavrlError
 from uavrl.runs.config import FREE_KEYS, MACHINE_KEYS, fingerprint, read_config
-from uavrl.runs.directions import by_content
+from uavrl.runs.directions import KEY, by_content
 from uavrl.runs.episodes import read_episodes
 from uavrl.runs.names import ANY_CHECKPOINT, CONFIG, EPISODES, LONGEST_NAME, SUMMARY
 from uavrl.training.run import reset_unstarted_run
@@ -84,7 +84,12 @@ def require_same_run(run_dir: Path, config: DictConfig) -> None:
     for each in (theirs, ours):
         by_content(each)
     pairs = [(key, OmegaConf.select(theirs, key), value) for key, value in _values(ours).items()]
-    other = [f"{key} is {old}, not {new}" for key, old, new in pairs if old != new and not _is_free(key)][:_SHOWN]
+    rays = f"the rays in the file of {KEY} are others"
+    other = [
+        rays if key == KEY and old is not None else f"{key} is {old}, not {new}"
+        for key, old, new in pairs
+        if old != new and not _is_free(key)
+    ][:_SHOWN]
     raise UavrlError(
         f"{run_dir} contains a run with other settings ({'; '.join(other) or 'it has further keys'}): choose another "
         f"run_dir, or remove that folder."
