@@ -85,7 +85,7 @@ def test_a_planner_acts(name: str) -> None:
     for part in state.modules():
         if isinstance(part, PointCloudReduction):
             part.del_keys = False
-    env = TransformedEnv(small("way", "mapped_way", "planes", far_range=12.0), Compose(state, InitTracker()))
+    env = TransformedEnv(small("way", "mapped_way", "planes", "traps", far_range=12.0), Compose(state, InitTracker()))
     assert env.rollout(3, find_class(BASELINES[name], object)())["action"].dtype == torch.float32
 
 
