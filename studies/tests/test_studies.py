@@ -100,6 +100,11 @@ def test_the_page_on_the_thesis_has_what_the_kept_runs_say(said: Said, tmp_path:
     assert picture.stat().st_size > 5_000
 
 
+def test_the_policies_of_all_teachers_are_drawn(said: Said, tmp_path: Path) -> None:
+    said("teachers", tmp_path / "teachers.png")
+    assert (tmp_path / "teachers.png").stat().st_size > 5_000
+
+
 def test_methods_are_compared_by_the_kept_runs(said: Said, tmp_path: Path) -> None:
     file = DATA / "methods/backward.json.gz"
     picture, chosen = tmp_path / "curves.png", ["--methods", "default reward", "ABR, centred", "IRCR"]
