@@ -61,12 +61,10 @@ def plot(entries: dict[str, Any], output: Path) -> None:
     figure = Figure(figsize=(8, 4.2), layout="constrained")
     axes = figure.subplots()
     for kind in KINDS:
-        if found := [rates(entries[name]) for name in kind.names if name in entries]:
-            across, up = zip(*found, strict=True)
-            inside = "none" if kind.marker == "o" else kind.colour
-            axes.scatter(
-                across, up, 45, marker=kind.marker, edgecolors=kind.colour, facecolors=inside, label=kind.label
-            )
+        found = [rates(entries[name]) for name in kind.names]
+        across, up = zip(*found, strict=True)
+        inside = "none" if kind.marker == "o" else kind.colour
+        axes.scatter(across, up, 45, marker=kind.marker, edgecolors=kind.colour, facecolors=inside, label=kind.label)
     for name, colour in TEACHERS:
         dense, traps = rates(entries[name])
         axes.scatter(dense, traps, 110, marker="*", color=colour, label=f"{name}, the teacher")
