@@ -17,7 +17,7 @@ import pytest
 from _pytest.faulthandler import fault_handler_stderr_fd_key
 
 from tests.helpers.commands import TINY, in_process
-from tests.helpers.measured import wait_for_a_core
+from tests.helpers.measured import measured, wait_for_a_core
 
 if TYPE_CHECKING:
     from uavrl.envs.place import Place
@@ -54,7 +54,8 @@ def cache_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]
 @pytest.fixture(autouse=True)
 def further_tries_wait_for_a_core(request: pytest.FixtureRequest) -> None:
     """A test that the machine failed because it was busy would fail again while it is."""
-    if getattr(request.node, "execution_count", 1) > 1:  # of pytest-rerunfailures
+    tries = getattr(request.node, "execution_count", 1)  # of pytest-rerunfailures
+    if tries > 1 and request.node.get_closest_marker("flaky") == measured.mark:
         wait_for_a_core()
 
 

@@ -6,13 +6,12 @@ Run `python studies/teachers.py docs/img/teachers.png`. It reads docs/data/suite
 from __future__ import annotations
 
 import argparse
-import io
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
-from PIL import Image
+from pictures import save
 
 from uavrl_onboard.cli.process import one_sentence
 
@@ -71,9 +70,7 @@ def plot(entries: dict[str, Any], output: Path) -> None:
     axes.set(xlabel="success in dense [%]", ylabel="success in traps [%]", xlim=(25, 103), ylim=(0, 104))
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right center", fontsize="small", title="the policy clones")
-    drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=100)
-    Image.open(drawn).convert("RGB").quantize(64, method=Image.Quantize.MAXCOVERAGE).save(output, optimize=True)
+    save(figure, output)
 
 
 def main() -> None:

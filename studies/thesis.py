@@ -11,7 +11,6 @@ interval over the seeds. With fewer it is that of each seed, with Wilson's inter
 from __future__ import annotations
 
 import argparse
-import io
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
+from pictures import save
 from run_statistics import FEWEST, RESAMPLES, Flights, cut, iqm, opened
 
 from uavrl.errors import UavrlError
@@ -266,9 +265,7 @@ def plot(output: Path) -> None:
     axes.set(xlabel="training episodes", ylabel=f"success, last {WINDOW} episodes [%]", ylim=(-2, 100), xlim=(0, 5050))
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right center", fontsize="small")
-    drawn = io.BytesIO()
-    figure.savefig(drawn, dpi=100)
-    Image.open(drawn).convert("RGB").quantize(64, method=Image.Quantize.MAXCOVERAGE).save(output, optimize=True)
+    save(figure, output)
 
 
 def main() -> None:

@@ -40,7 +40,7 @@ def test_the_list_names_each_study_and_a_commit() -> None:
     listed = re.findall(
         r"^\| `(\w+)\.py` \| \S.*\? \| \S.* \| `[0-9a-f]{7}` \|$", (STUDIES / "README.md").read_text(), re.M
     )
-    assert {*listed, "passes", "run_statistics"} == {path.stem for path in STUDIES.glob("*.py")}
+    assert {*listed, "passes", "pictures", "run_statistics"} == {path.stem for path in STUDIES.glob("*.py")}
 
 
 def test_variants_of_the_controller_are_flown_in_both_worlds(said: Said, tmp_path: Path) -> None:

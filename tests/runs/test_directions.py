@@ -111,9 +111,7 @@ def test_another_sweep_is_told_that_the_rays_are_others(own: Path, tmp_path: Pat
     chosen = f"env.lidar={own / 'mine.yaml'}"
     run = create_run(resolve(small_config(tmp_path / "run", chosen)))
     np.savetxt(own / "rays.csv", RAYS[:3], delimiter=",")
-    with pytest.raises(
-        UavrlError, match=r"other settings \(the rays in the file of perception\.lidar\.[a-z.]* are others"
-    ):
+    with pytest.raises(UavrlError, match=r"other settings \(perception\.lidar\.[a-z.]* names a file with other rays\)"):
         require_same_run(run, resolve(small_config(tmp_path / "run", chosen)))
 
 
@@ -121,7 +119,7 @@ def test_a_file_that_never_ends_is_not_read(own: Path, tmp_path: Path) -> None:
     run = create_run(resolve(small_config(tmp_path / "run", f"env.lidar={own / 'mine.yaml'}")))
     (run / "lidar_directions.csv").unlink()
     (run / "lidar_directions.csv").symlink_to("/dev/zero")
-    with pytest.raises(UavrlError, match=r"lidar_directions\.csv are no file"):
+    with pytest.raises(UavrlError, match=r"lidar_directions\.csv must be a file, not a folder or a device"):
         rays_of(run)
     for file in ("/dev/zero", "/dev/null\0"):
         config = resolve(small_config(tmp_path / "other", f"env.lidar={own / 'mine.yaml'}"))

@@ -391,7 +391,7 @@ def _read(name: str, path: Path) -> np.ndarray:
     except OSError as error:
         raise UavrlError(f"{told} cannot be read ({error.strerror}): name a file that is there.") from error
     if not path.is_file():  # but a folder or a device, which may have no end
-        raise UavrlError(f"{told} are no file: name one.")
+        raise UavrlError(f"{told} must be a file, not a folder or a device.")
     if size > _LARGEST_FILE:
         raise UavrlError(f"{told} have more than {_LARGEST_FILE:,} bytes, which no sensor needs: give fewer rays.")
     try:

@@ -67,7 +67,9 @@ def read_shape(path: Path, most: int, opening: float = OPENING) -> tuple[np.ndar
         except UnboundLocalError as error:  # by trimesh, for a PLY in which it does not find them
             if suffix != ".ply":
                 raise
-            raise Unread("names the corners of its faces otherwise than vertex_indices: export it again") from error
+            raise Unread(
+                "calls the corners of its faces something other than vertex_indices: export it again"
+            ) from error
         except ValueError as error:
             if "unexpected length" not in str(error):
                 raise

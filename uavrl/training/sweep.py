@@ -84,7 +84,7 @@ def require_same_run(run_dir: Path, config: DictConfig) -> None:
     for each in (theirs, ours):
         by_content(each)
     pairs = [(key, OmegaConf.select(theirs, key), value) for key, value in _values(ours).items()]
-    rays = f"the rays in the file of {KEY} are others"
+    rays = f"{KEY} names a file with other rays"
     other = [
         rays if key == KEY and old is not None else f"{key} is {old}, not {new}"
         for key, old, new in pairs
