@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import errno
+import gc
 import importlib
 import inspect
 import io
@@ -312,3 +313,34 @@ def test_the_folder_follows_the_xdg_specification(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("XDG_CACHE_HOME", "relative, which it says to ignore")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert cache_folder() == tmp_path / "home/.cache/uavrl"
+
+
+class Finalized:
+    """Garbage that only the collector finds, whose end runs Python: another thread may go on there."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+    def __del__(self) -> None:
+        sum(range(20))
+
+
+def test_threads_that_read_maps_side_by_side_do_not_disturb_each_other() -> None:
+    """CPython counts the depth of a syntax tree, as which NumPy reads an array's header, for all threads together."""
+    place = built()
+    name = next(valley_folder().iterdir()).name
+
+    def read(_: int) -> bool:
+        Finalized()
+        found = valley_cache.load_map(name)
+        return found is not None and np.array_equal(found.candidates, place.candidates)
+
+    before, interval = gc.get_threshold(), sys.getswitchinterval()
+    gc.set_threshold(20)
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            assert all(threads.map(read, range(500)))
+    finally:
+        gc.set_threshold(*before)
+        sys.setswitchinterval(interval)

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from uavrl.envs import shape_reader
+from uavrl.envs.array_file import load_npy
 from uavrl.envs.polygons import OPENING
 from uavrl.errors import MissingExtra, UavrlError
 
@@ -90,7 +91,7 @@ def read_file(path: Path, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         if done.returncode:
             reason = Path(folder) / "reason"
             raise _refused(path, reason.read_text(encoding="utf-8") if reason.is_file() else "memory")
-        found = np.load(Path(folder) / "points.npy"), np.load(Path(folder) / "triangles.npy")
+        found = load_npy(Path(folder) / "points.npy"), load_npy(Path(folder) / "triangles.npy")
     if _stamp(path) != before:
         raise UavrlError(f"{path} has changed while it was read: wait until it is written.")
     return found

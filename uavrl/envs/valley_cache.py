@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 import uavrl_onboard
+from uavrl.envs.array_file import load_npz
 from uavrl.envs.lanes import Lane
 from uavrl.runs.cache import FOLDER, MOST_BYTES, valley_folder
 
@@ -102,14 +103,14 @@ def load_map(name: str) -> ValleyMap | None:
 def _read(path: Path) -> ValleyMap:
     with path.open("rb") as file:
         _require_small(file)
-        with np.load(file, allow_pickle=False) as data:
-            candidates, lanes = data["candidates"], data["lanes"]
-            trapped, traps = data["trapped"], data["traps"]
-            fits, corner = data["fits"], data["corner"]
+        data = load_npz(file)
+    candidates, lanes = data["candidates"], data["lanes"]
+    trapped, traps = data["trapped"], data["traps"]
+    fits, corner = data["fits"], data["corner"]
     valid = fits.ndim == 2 and fits.dtype == bool and fits.any() and corner.shape == (2,)
     valid = valid and corner.dtype == np.float64 and np.isfinite(corner).all()
     valid = valid and candidates.ndim == 2 and candidates.shape[1] == 2 and candidates.dtype == np.float64
-    valid = valid and len(candidates)
+    valid = valid and len(candidates) > 0
     valid = valid and lanes.ndim == 3 and lanes.shape[2] == 3 and lanes.dtype == np.float64
     valid = valid and trapped.ndim == 2 and trapped.shape[1] == 2 and trapped.dtype == np.int64
     valid = valid and traps.ndim == 1 and traps.dtype == np.int64 and (traps > 0).all() and traps.sum() == len(trapped)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from uavrl.envs.array_file import load_npz
 from uavrl.errors import UavrlError
 from uavrl.evaluation.rollout import EpisodeResult
 from uavrl.runs.episodes import OUTCOMES
@@ -140,8 +141,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
         size = sum(member.file_size for member in archive.infolist())
     if size > MOST_BYTES:
         raise ValueError(f"it holds {size} bytes")
-    with np.load(path, allow_pickle=False) as file:
-        return {name: file[name] for name in file.files}
+    return load_npz(path)
 
 
 def _of(arrays: dict[str, np.ndarray], name: str) -> dict[str, Any]:

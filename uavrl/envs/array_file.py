@@ -1,0 +1,25 @@
+"""Reads NumPy's files, in one thread at a time.
+
+NumPy reads the header of an array by :mod:`ast`, and CPython counts how deep that is for all threads together: two that
+read at once may end in "SystemError: AST constructor recursion depth mismatch" (python/cpython#106905).
+"""
+
+import threading
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+_ONE_AT_A_TIME = threading.Lock()
+
+
+def load_npy(file: Path | BinaryIO) -> np.ndarray:
+    """The array of an NPY file."""
+    with _ONE_AT_A_TIME:
+        return np.load(file, allow_pickle=False)
+
+
+def load_npz(file: Path | BinaryIO) -> dict[str, np.ndarray]:
+    """All arrays of an NPZ file."""
+    with _ONE_AT_A_TIME, np.load(file, allow_pickle=False) as data:
+        return dict(data)
