@@ -17,7 +17,7 @@ from uavrl.sitl.sitl import Result
     ("argument", "says"),
     [
         ("speed=fast", "speed must be a number or one of lockstep"),
-        ("lidar=udp://:2368", "lidar must be udp://HOST:PORT, where to send to, such as udp://127.0.0.1:2368, got"),
+        ("lidar=udp://:2368", "lidar must be udp://HOST:PORT, where to send to, such as udp://127.0.0.1:2368, or ros2:///TOPIC"),
         (
             "autopilot=tcp://127.0.0.1:1",
             "autopilot must be udp://HOST:PORT, where to send to, such as udp://127.0.0.1:14540",
@@ -25,7 +25,9 @@ from uavrl.sitl.sitl import Result
         ("lidar=127.0.0.1:2368", "lidar must be udp://HOST:PORT"),
         ("lidar=udp://127.0.0.1:99999", "lidar must be udp://HOST:PORT"),
         ("perception=none", "perception must be one that reads a LiDAR, such as truncated_icosahedron: "),
-        ("env.lidar=mid360", "uavrl-sitl sends the data packets of a Velodyne VLP-16, and the LiDAR mid360 has none"),
+        ("env.lidar=mid360", "the LiDAR mid360 has none: publish its point clouds with lidar=ros2:///points"),
+        ("lidar=ros2://points", "An address is ros2:///TOPIC or ros2://DOMAIN/TOPIC"),
+        ("lidar=ros2:///points autopilot=ros2:///odom", "autopilot must be udp://HOST:PORT, where to send to, such as"),
         ("env.num_uavs=3", "env.num_uavs is set by the command itself"),
         ("pilot_takes_over=-1", "pilot_takes_over must be at least 0"),
         ("faults.lidar_silent=[3,1]", "faults.lidar_silent must be two times in s from 0, the earlier first"),
@@ -37,7 +39,7 @@ from uavrl.sitl.sitl import Result
     ],
 )
 def test_mistakes_are_told_in_a_sentence(argument: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert in_process(sitl.main, argument) == 1
+    assert in_process(sitl.main, *argument.split()) == 1
     out, err = capsys.readouterr()
     (told,) = [line for line in err.splitlines() if line != "Loading the simulator ..."]
     assert says in told and out == ""

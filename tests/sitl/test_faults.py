@@ -137,6 +137,36 @@ def test_a_scan_that_is_repeated_has_new_times() -> None:
     assert [packet[-6:] for packet in repeated] == [packet[-6:] for packet in later]
 
 
+def test_clouds_suffer_the_same_as_packets() -> None:
+    def cloud(far: float) -> np.ndarray:
+        return np.where(firing_directions()[:, 2:] > 0.2, np.nan, far * firing_directions()).astype(np.float32)
+
+    def ranges(points: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(points[np.isfinite(points[:, 0])], axis=1)
+
+    count = len(ranges(cloud(1.0)))
+    (half,) = Faults(half_scan=(1.0, 2.0)).of_lidar([cloud(3.0)], 1.5)
+    assert np.nanmin(half[:, 0]) >= 0.0 and len(ranges(half)) == pytest.approx(count / 2, rel=0.01)
+    assert half.shape == cloud(3.0).shape
+    frozen = Faults(frozen_scan=(1.0, 2.0))
+    assert [
+        float(ranges(frozen.of_lidar([cloud(far)], at)[0]).max()) for far, at in ((3, 1.0), (5, 1.1), (5, 2.0))
+    ] == [pytest.approx(each) for each in (3.0, 3.0, 5.0)]
+    ahead = np.array([[3.0, 0.0, 0.5]], np.float32)
+    (turned,) = Faults(turned_scan=(0.0, 9.0), turn=90.0).of_lidar([ahead], 1.0)
+    np.testing.assert_allclose(turned, [[0.0, 3.0, 0.5]], atol=1e-6)
+    assert turned.dtype == np.float32
+    second = Faults(second_sensor=(1.0, 2.0))
+    assert ranges(second.of_second_sensor([cloud(3.0)], 1.5)[0]) == pytest.approx(1.5)
+    assert second.of_second_sensor([cloud(3.0)], 2.0) == []
+    clouds = [np.full((1, 3), number, np.float32) for number in range(400)]
+    lost = Faults(lose=0.25).of_lidar(clouds, None)
+    assert 270 < len(lost) < 330
+    faults = Faults(reorder=0.3)
+    arrived = [float(each[0, 0]) for one in clouds for each in faults.of_lidar([one], None)]
+    assert arrived != sorted(arrived) and len(arrived) >= 399
+
+
 def test_a_lidar_that_is_turned_to_the_right_sees_what_is_ahead_on_its_left() -> None:
     directions = firing_directions()
     ahead = np.where((directions[:, :1] > 0.9), 3.0 * directions, np.nan)

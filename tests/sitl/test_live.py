@@ -69,6 +69,32 @@ def test_each_ray_is_cast_in_the_piece_in_which_it_is_fired(make: Make) -> None:
         assert piece * PIECE - 1e-4 <= fired[0] and fired[-1] <= (piece + 1) * PIECE + 1e-4
 
 
+@pytest.mark.parametrize("name", ["xt32", "mid360", "rplidar", "d435"])
+def test_a_turn_of_any_lidar_in_pieces_is_a_scan_where_nothing_moves(make: Make, name: str) -> None:
+    config = LidarConfig(sensor=name, range_noise=0.0)
+    env = make(1, lidar=config)
+    episode, times = LiveEpisode(env, 5), config.device.rays.times
+    for turn in range(2):
+        whole = env.look(slice(None), 5 + turn)[0]
+        cast = [episode.piece(np.zeros(3), 0.0) for _ in range(PIECES)]
+        assert [cast[0].start, cast[-1].stop] == [0, len(times)]
+        for number, rays in enumerate(cast):
+            assert ((times[rays] >= number * PIECE) & (times[rays] < (number + 1) * PIECE)).all()
+        np.testing.assert_allclose(episode.points, whole, atol=1e-3)
+        assert np.isfinite(whole).any()
+    assert episode.last_firing == times[-1]
+
+
+def test_a_pattern_that_changes_does_so_from_turn_to_turn(make: Make) -> None:
+    episode, seen = LiveEpisode(make(1, lidar=LidarConfig(sensor="mid360", range_noise=0.0)), 0), []
+    for _ in range(2):
+        for _ in range(PIECES):
+            episode.piece(np.zeros(3), 0.0)
+        hit = episode.points[np.isfinite(episode.points[:, 0])]
+        seen.append(np.unique(np.round(hit / np.linalg.norm(hit, axis=1, keepdims=True), 4), axis=0))
+    assert len(np.unique(np.concatenate(seen), axis=0)) > 1.5 * max(map(len, seen))
+
+
 def test_a_velocity_in_the_worlds_axes_stays_there_while_the_vehicle_turns(make: Make) -> None:
     world = replace(SMALL, obstacles=0)
     episode = LiveEpisode(make(1, world=world), 0)

@@ -1,10 +1,11 @@
-"""``uavrl-sitl``: our simulator as a vehicle, for a companion that speaks MAVLink and reads a VLP-16."""
+"""``uavrl-sitl``: our simulator as a vehicle, for a companion that speaks MAVLink and reads a LiDAR."""
 
 from __future__ import annotations
 
 import json
 import logging
 import signal
+import sys
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,12 +21,13 @@ from uavrl.envs.sensors import SENSORS
 from uavrl.errors import Stopped, UavrlError
 from uavrl.sitl.faults import Faults
 from uavrl.sitl.simulated_autopilot import FirmwareName
-from uavrl.sitl.sitl import AUTOPILOT, LIDAR
+from uavrl.sitl.sitl import AUTOPILOT, LIDAR, ROS2
 from uavrl_onboard.autopilot.mavlink import mavlink
 from uavrl_onboard.cli.process import terminable
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.lidar.udp import address
 from uavrl_onboard.ranges import Folder, NonNegative, Positive, Seed, Text, Whole
+from uavrl_onboard.ros2.dds import topic_of
 from uavrl_onboard.sentences import require
 
 if TYPE_CHECKING:
@@ -62,16 +64,21 @@ class SitlConfig:
 
     def __post_init__(self) -> None:
         """Checks the addresses, and that the environment is a valley."""
+        by_ros = self.lidar.startswith(ROS2)
+        if by_ros:
+            topic_of(self.lidar)
         for key, example in (("lidar", LIDAR), ("autopilot", AUTOPILOT)):
             told = f"udp://HOST:PORT, where to send to, such as {example}"
-            require(_is_host(getattr(self, key)), key, told, getattr(self, key))
+            if key == "lidar":
+                told += ", or ros2:///TOPIC for point clouds"
+            require(_is_host(getattr(self, key)) or (by_ros and key == "lidar"), key, told, getattr(self, key))
         require("world" in self.env, "env", "a valley", self.choices.get("env"))
         sensor = "one that reads a LiDAR, such as truncated_icosahedron: its perception.lidar is the vehicle's sensor"
         require(self.perception.get("_target_") is not None, "perception", sensor, self.choices.get("perception"))
-        if (device := self.perception.lidar.device) != SENSORS["vlp16"]:
+        if not by_ros and (device := self.perception.lidar.device) != SENSORS["vlp16"]:
             raise UavrlError(
-                f"uavrl-sitl sends the data packets of a Velodyne VLP-16, and the LiDAR {device.name} has none: leave "
-                "env.lidar out."
+                f"By UDP, uavrl-sitl sends the data packets of a Velodyne VLP-16, and the LiDAR {device.name} has "
+                "none: publish its point clouds with lidar=ros2:///points, which uavrl-fly reads from the same address."
             )
 
 
@@ -148,7 +155,12 @@ def _introduce(settings: SitlConfig, told: dict[str, Any]) -> None:
     start = ", ".join(f"{each:g}" for each in told["start"])
     where = f"from ({start}) to goal=[{goal}], {told['distance_at_start']:.1f} m"
     print(f"Task {settings.task} in valley {told['valley']}: {where}.")
-    print(f"LiDAR to {settings.lidar}, MAVLink ({settings.firmware}) to {settings.autopilot}.", flush=True)
+    print(f"LiDAR to {settings.lidar}, MAVLink ({settings.firmware}) to {settings.autopilot}.")
+    if (device := settings.perception.lidar.device) != SENSORS["vlp16"]:
+        low, high = (f"{round(each, 1):g}" for each in device.field_of_view[2:])
+        repeats = "" if device.repeats else " hull.repeats=false"
+        print(f"For uavrl-fly: lidar={settings.lidar} hull.elevations=[{low},{high}]{repeats}")
+    sys.stdout.flush()
 
 
 def _sentence(result: Result) -> str:

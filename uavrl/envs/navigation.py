@@ -330,15 +330,20 @@ class NavigationEnv(EnvBase):
         """The shape of a plane at the origin, x forward, in m; :meth:`plane_poses` says where each one is."""
         return plane_mesh(self.world_config.plane_wingspan)
 
-    def look(self, rays: slice) -> np.ndarray:
-        """What all vehicles see now by some rays: ``[N, R, 3]``, NaN for all other rays and for misses."""
-        return self._scan(np.arange(self.num_uavs), rays)
+    def look(self, rays: slice, number: int | None = None) -> np.ndarray:
+        """What all vehicles see now by some rays: ``[N, R, 3]``, NaN for all other rays and for misses.
 
-    def _scan(self, index: np.ndarray, rays: slice | None = None) -> np.ndarray:
+        Of a pattern that changes they are the rays of the scan ``number``, or of that of this step.
+        """
+        numbers = None if number is None else np.full(self.num_uavs, number)
+        return self._scan(np.arange(self.num_uavs), rays, numbers)
+
+    def _scan(self, index: np.ndarray, rays: slice | None = None, numbers: np.ndarray | None = None) -> np.ndarray:
         if self._lidar is None:
             return self._no_returns
         planes = self.plane_poses() if self.world.config.planes and self.blind_to != "planes" else None
-        numbers = self._task[index] + self._steps[index]  # of a pattern that changes: its own in each task
+        if numbers is None:
+            numbers = self._task[index] + self._steps[index]  # of a pattern that changes: its own in each task
         points = self.simulation.scan(self._lidar, index, planes, self._lidar_rng, rays, numbers)
         if len(index) == self.num_uavs:
             return points

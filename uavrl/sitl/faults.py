@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from uavrl.errors import UavrlError
+from uavrl_onboard.geometry import yaw_rotation
 from uavrl_onboard.lidar.packets import FULL_TURN, PACKET
 
 Span = tuple[float, float]
@@ -33,16 +34,16 @@ class Faults:
     """Faults of the way; times are in s from the first set-point that was obeyed, and end before the second number.
 
     Args:
-        lose: share of the LiDAR's packets that are lost.
+        lose: share of the LiDAR's packets, or of its clouds, that are lost.
         reorder: share of them that come after the next one.
         lidar_silent: from when to when the LiDAR sends nothing.
         pose_silent: from when to when the autopilot does not say where the vehicle is.
-        product: product byte of the LiDAR's packets.
+        product: product byte of the LiDAR's packets; clouds have none.
         half_scan: from when to when the half behind the sensor has no returns, as by a driver's window.
         frozen_scan: from when to when the LiDAR repeats what it saw at first, as a driver that hangs.
         turned_scan: from when to when the LiDAR is turned by ``turn``, as it is mounted or by its driver.
         turn: to the right, degrees.
-        second_sensor: from when to when another LiDAR sends to the same port, from a port of its own.
+        second_sensor: from when to when another LiDAR sends to the same port or topic, from a port or node of its own.
         pose_jump: from when to when the autopilot tells a position that is off by ``jump``.
         jump: by how much, to the east, to the north and up, m.
         pose_drift: from when to when the reported position drifts away by ``drift``, and stays there.
@@ -108,25 +109,29 @@ class Faults:
         if self.seed < 0:
             raise UavrlError(f"faults.seed must be a whole number from 0, got {self.seed}.")
         self._rng = np.random.default_rng(self.seed)
-        self._kept: list[bytes] = []
+        self._kept: list[Any] = []
         self._pose_due: dict[int, float] = {}
         self._camera_due = -math.inf
-        self._turn: dict[int, bytes] = {}  # by azimuth: the packets of the turn that is repeated
+        self._turn: dict[int, Any] = {}  # by azimuth: the packets of the turn that is repeated; or its cloud
         self._frozen: dict[int, dict[str, Any]] = {}  # by number: the fields of the messages that are
 
-    def of_lidar(self, packets: Sequence[bytes], since: float | None) -> list[bytes]:
-        """What arrives of some packets, ``since`` s after the first obeyed set-point (None: there was none yet)."""
+    def of_lidar(self, packets: Sequence[Any], since: float | None) -> list[Any]:
+        """What arrives of some packets, ``since`` s after the first obeyed set-point (None: there was none yet).
+
+        Clouds ``float32 [R, 3]`` suffer the same as packets.
+        """
         if _within(self.lidar_silent, since):
             return []
-        half, arrived = _within(self.half_scan, since), list[bytes]()
+        half, arrived = _within(self.half_scan, since), list[Any]()
         frozen, turned = _within(self.frozen_scan, since), _within(self.turned_scan, since)
         for packet in packets:
+            form = _form_of(packet)
             if half:
-                packet = _without_half(packet)
+                packet = form.without_half(packet)
             if frozen:
-                packet = _as_before(packet, self._turn)
+                packet = form.as_before(packet, self._turn)
             if turned:
-                packet = _turned(packet, self.turn)
+                packet = form.turned(packet, self.turn)
             if self.product is not None:
                 packet = packet[:-1] + bytes([self.product])
             if self._rng.random() < self.lose:
@@ -138,9 +143,9 @@ class Faults:
                 arrived += [packet, *kept]
         return arrived
 
-    def of_second_sensor(self, packets: Sequence[bytes], since: float | None) -> list[bytes]:
+    def of_second_sensor(self, packets: Sequence[Any], since: float | None) -> list[Any]:
         """What another sensor sends at the same time: the same turn, seen from elsewhere."""
-        return [_nearer(packet) for packet in packets] if _within(self.second_sensor, since) else []
+        return [_form_of(packet).nearer(packet) for packet in packets] if _within(self.second_sensor, since) else []
 
     def of_telemetry(self, messages: Iterable[Any], now: float, since: float | None) -> list[Any]:
         """What the autopilot tells of some messages of MAVLink.
@@ -234,6 +239,40 @@ def _nearer(packet: bytes) -> bytes:
     distance = read["blocks"]["returns"]["distance"]
     read["blocks"]["returns"]["distance"] = (_SECOND * distance).astype(distance.dtype)
     return read.tobytes()
+
+
+def _cloud_without_half(points: np.ndarray) -> np.ndarray:
+    return np.where(points[:, :1] < 0.0, np.float32(math.nan), points)
+
+
+def _cloud_as_before(points: np.ndarray, turn: dict[int, Any]) -> np.ndarray:
+    before: np.ndarray = turn.setdefault(0, points)
+    return before
+
+
+def _cloud_turned(points: np.ndarray, degrees: float) -> np.ndarray:
+    return (points @ yaw_rotation(math.radians(degrees)).T).astype(np.float32)
+
+
+def _cloud_nearer(points: np.ndarray) -> np.ndarray:
+    return np.float32(_SECOND) * points
+
+
+class _Form(NamedTuple):
+    """What faults make of a message of a LiDAR."""
+
+    without_half: Callable[[Any], Any]  #: without the returns behind the sensor
+    as_before: Callable[[Any, dict[int, Any]], Any]  #: with the returns of the first turn, which is kept in the dict
+    turned: Callable[[Any, float], Any]  #: of a sensor that is turned to the right, in degrees
+    nearer: Callable[[Any], Any]  #: of a sensor that is nearer to all that it sees
+
+
+_OF_PACKETS = _Form(_without_half, _as_before, _turned, _nearer)
+_OF_CLOUDS = _Form(_cloud_without_half, _cloud_as_before, _cloud_turned, _cloud_nearer)
+
+
+def _form_of(message: Any) -> _Form:
+    return _OF_PACKETS if isinstance(message, bytes) else _OF_CLOUDS
 
 
 def _step_clock(message: Any, by: float) -> None:

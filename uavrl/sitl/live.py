@@ -12,11 +12,10 @@ from uavrl.envs.controller import VELOCITY_GAIN
 from uavrl.envs.navigation import CONTROL_RATE, PHYSICS_RATE, NavigationEnv
 from uavrl.envs.simulation import TRACKING_PERIOD
 from uavrl_onboard.geometry import yaw_rotation
-from uavrl_onboard.lidar.vlp16 import FIRING_TIMES, LASER_ELEVATIONS, NUM_RAYS
+from uavrl_onboard.lidar.packets import CHANNELS
 
 PIECE = TRACKING_PERIOD / PHYSICS_RATE  # s: 12.5 ms
 PIECES = PHYSICS_RATE // CONTROL_RATE // TRACKING_PERIOD  # of a turn of the LiDAR: 8
-_LASERS = len(LASER_ELEVATIONS)
 
 
 @dataclass(frozen=True)
@@ -37,16 +36,17 @@ class Motion:
 class LiveEpisode:
     """One vehicle's episode in the simulator, in pieces of 12.5 ms or in steps of 0.1 s.
 
-    A piece obeys a velocity in the world's axes from its first moment on, and the LiDAR turns on by an eighth, seen
-    from where the vehicle is at the piece's end. A step is that of the environment: one action, which turns with the
-    vehicle, then a whole scan from where it has led to.
+    A piece obeys a velocity in the world's axes from its first moment on, and the LiDAR fires the rays of these 12.5 ms
+    from where the vehicle is at the piece's end. It makes ten turns in a second, whatever its rate. A step is that of
+    the environment: one action, which turns with the vehicle, then a whole scan from where it has led to.
 
     Args:
         env: the environment, of one vehicle.
         task: its task, which begins.
 
     Attributes:
-        points: ``float32 [28928, 3]``, the newest points in the sensor's frame in firing order, NaN for misses.
+        points: ``float32 [R, 3]``, the newest points in the sensor's frame in firing order, NaN for misses.
+        last_firing: when the last ray of a turn is fired, in s after its first one.
         outcome: ``success`` or ``collision`` once the episode has ended, else None; time is not kept here.
     """
 
@@ -56,7 +56,12 @@ class LiveEpisode:
         self._env, self._state = env, env.reset(task=task)
         self.points: np.ndarray = self._state["point_cloud"][0].numpy()
         self.outcome: str | None = None
-        self._pieces = 0
+        self._pieces, self._task = 0, task
+        times, sensor = env.lidar_sensor.rays.times, env.lidar_sensor
+        group = CHANNELS if sensor.pattern == "vlp16" else 1  # rays that share an azimuth in the sensor's packets
+        borders = group * np.searchsorted(times[::group], PIECE * np.arange(PIECES + 1))
+        self._borders = [*borders[:-1].tolist(), len(times)]  # of the rays of each piece
+        self.last_firing = float(times[-1])
         goal = self._state["goal"][0].double().numpy()
         valley = min(env.world.places, key=lambda each: float(np.hypot(*(each.origin - goal[:2]))))
         self.world_seed = valley.seed
@@ -125,12 +130,11 @@ class LiveEpisode:
 
     def _look(self) -> slice:
         """Casts the rays that are fired in a piece, from where it has ended."""
-        now = self._pieces % PIECES
+        turn, now = divmod(self._pieces, PIECES)
         self._pieces += 1
-        pairs = FIRING_TIMES[:: 2 * _LASERS]  # of firing cycles, which share an azimuth in the sensor's packets
-        first, last = np.searchsorted(pairs, [now * PIECE, (now + 1) * PIECE]) * 2 * _LASERS
-        rays = slice(int(first), NUM_RAYS if now == PIECES - 1 else int(last))
+        rays = slice(self._borders[now], self._borders[now + 1])
         if now == 0:
             self.points = np.full_like(self.points, np.nan)
-        self.points[rays] = self._env.look(rays)[0, rays]
+        if rays.start < rays.stop:
+            self.points[rays] = self._env.look(rays, self._task + turn)[0, rays]
         return rays

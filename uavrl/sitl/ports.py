@@ -1,4 +1,4 @@
-"""The ports of a simulated vehicle: LiDAR packets out, MAVLink out and in."""
+"""The ports of a simulated vehicle: MAVLink out and in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from typing import Any
 from uavrl.errors import UavrlError
 from uavrl_onboard.autopilot.mavlink import PORT as AUTOPILOT_PORT
 from uavrl_onboard.autopilot.signing import keep_time, read_key, start_signing
-from uavrl_onboard.lidar.packets import PORT as LIDAR_PORT
 from uavrl_onboard.lidar.udp import address
 
 _logger = logging.getLogger(__name__)
@@ -22,12 +21,11 @@ _CAMERA = 100  # MAV_COMP_ID_CAMERA
 
 
 class SitlPorts:
-    """Sends to two addresses, each from a port of its own, and hears what is sent to the autopilot's.
+    """Sends to an address from a port of its own, and hears what is sent to that port.
 
     Args:
         messages: pymavlink's messages.
-        lidar: where packets go, ``udp://HOST:PORT``.
-        autopilot: where MAVLink goes.
+        autopilot: where MAVLink goes, ``udp://HOST:PORT``.
         system: the vehicle's MAVLink system id.
         signing_key_file: file with the key of a signed link; None for one that is not signed.
 
@@ -35,16 +33,13 @@ class SitlPorts:
         UavrlError: for what is no address, or a host that nobody knows.
     """
 
-    def __init__(
-        self, messages: ModuleType, lidar: str, autopilot: str, system: int, signing_key_file: str | None = None
-    ) -> None:
-        self._lidar_to, self._mavlink_to = _found(lidar, LIDAR_PORT), _found(autopilot, AUTOPILOT_PORT)
+    def __init__(self, messages: ModuleType, autopilot: str, system: int, signing_key_file: str | None = None) -> None:
+        self._mavlink_to = found(autopilot, AUTOPILOT_PORT)
         self._messages, self._writer = messages, messages.MAVLink(None, srcSystem=system, srcComponent=1)
         self._camera = messages.MAVLink(None, srcSystem=system, srcComponent=_CAMERA)
         self._signs = signing_key_file is not None
         if signing_key_file is not None:
             start_signing(self._writer, read_key(signing_key_file))
-        self._sensor, self._other_sensor = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
         self._autopilot = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         here = self._mavlink_to[0].startswith("127.")  # then nobody else is heard
         self._autopilot.bind(("127.0.0.1" if here else "", 0))
@@ -52,32 +47,20 @@ class SitlPorts:
         self.number: int = self._autopilot.getsockname()[1]  #: of the autopilot's port
 
     def close(self) -> None:
-        """Gives the ports back."""
-        self._sensor.close()
-        self._other_sensor.close()
+        """Gives the port back."""
         self._autopilot.close()
-
-    def send_packets(self, packets: Iterable[bytes]) -> None:
-        """Sends what the LiDAR sends."""
-        for packet in packets:
-            _give(self._sensor, packet, self._lidar_to)
-
-    def send_packets_of_another(self, packets: Iterable[bytes]) -> None:
-        """Sends what another LiDAR sends to the same port, from a port of its own."""
-        for packet in packets:
-            _give(self._other_sensor, packet, self._lidar_to)
 
     def send_beat_of_camera(self, fields: Mapping[str, int]) -> None:
         """Sends a heartbeat of a camera on the vehicle."""
         beat = self._messages.MAVLink_heartbeat_message(**fields)
-        _give(self._autopilot, beat.pack(self._camera), self._mavlink_to)
+        give(self._autopilot, beat.pack(self._camera), self._mavlink_to)
 
     def send_messages(self, messages: Iterable[Any]) -> None:
         """Sends what the autopilot sends."""
         if self._signs:
             keep_time(self._writer)
         for message in messages:
-            _give(self._autopilot, message.pack(self._writer), self._mavlink_to)
+            give(self._autopilot, message.pack(self._writer), self._mavlink_to)
 
     def wait(self, seconds: float) -> bool:
         """Waits until something has come; False where nothing has in so many seconds."""
@@ -98,14 +81,15 @@ class SitlPorts:
         return found
 
 
-def _give(sender: socket.socket, packet: bytes, to: tuple[str, int]) -> None:
+def give(sender: socket.socket, packet: Any, to: tuple[str, int]) -> None:
+    """Sends a packet, if it can be sent."""
     try:
         sender.sendto(packet, to)
     except OSError as error:  # nobody listens, or the network is down
         _logger.debug("A packet was not sent: %s", error)
 
 
-def _found(where: str, port: int) -> tuple[str, int]:
+def found(where: str, port: int) -> tuple[str, int]:
     """The numbers of an address, found once and not for each packet."""
     host, number = address(where, port)
     try:

@@ -1,4 +1,4 @@
-"""A simulated vehicle as a real one: VLP-16 packets and MAVLink by UDP, in real time or in step with its companion."""
+"""A simulated vehicle as a real one: scans and MAVLink, in real time or in step with its companion."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy as np
 
 from uavrl.errors import UavrlError
 from uavrl.sitl.faults import POSE, Faults
+from uavrl.sitl.lidar_output import CloudOutput, LidarOutput, Message, PacketOutput
 from uavrl.sitl.ports import SitlPorts
 from uavrl.sitl.simulated_autopilot import FirmwareName, SimulatedAutopilot
 from uavrl.sitl.telemetry import Telemetry
 from uavrl_onboard.autopilot.mavlink import PORT as AUTOPILOT_PORT
 from uavrl_onboard.autopilot.mavlink import mavlink
 from uavrl_onboard.lidar.packets import PORT as LIDAR_PORT
-from uavrl_onboard.lidar.packets import PacketStream, encode_scan
 from uavrl_onboard.vehicle import VEHICLE
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
+ROS2 = "ros2:"  # what an address of a topic begins with
 LIDAR, AUTOPILOT = (f"udp://127.0.0.1:{port}" for port in (LIDAR_PORT, AUTOPILOT_PORT))
 LATE = 0.1  # s behind its time, after which the simulator gives up catching up
 TURN = 0.1  # s of the LiDAR
@@ -49,7 +50,7 @@ class Result:
     least_distance: float = math.inf  #: likewise, in all, m
     setpoints: int = 0  #: that were obeyed
     rate: float = 1.0  #: share of the asked speed that was held
-    packets_late_ms: tuple[float, float] = (0.0, 0.0)  #: median and most by which LiDAR packets were late
+    packets_late_ms: tuple[float, float] = (0.0, 0.0)  #: median and most by which LiDAR packets, or clouds, were late
     modes: list[tuple[float, str, str]] = field(default_factory=list)  #: time in s, mode, reason
     began_at: float | None = None  #: when the first set-point was obeyed, s since 1970
 
@@ -63,13 +64,15 @@ class Sitl:
     """Runs one episode.
 
     In real time the vehicle flies in pieces of 12.5 ms: a set-point acts from the piece after its arrival on. Each
-    LiDAR packet shows what is around the vehicle when its rays are fired, and is sent when the last one has been. With
+    LiDAR packet, or cloud, shows what is around the vehicle when its rays are fired, and is sent when the last one has
+    been. With
     ``speed="lockstep"`` the simulator stands still until a set-point is obeyed, which then acts for a step of 0.1 s;
     after it comes a whole scan, as the environment gives it.
 
     Args:
         episode: the task, which has begun.
-        lidar: where packets go, ``udp://HOST:PORT``.
+        lidar: where scans go: ``udp://HOST:PORT`` for the packets of a VLP-16, ``ros2:///TOPIC`` for the clouds of any
+            LiDAR.
         autopilot: where MAVLink goes.
         firmware: whose rules the vehicle follows.
         armed: whether it is armed at the start.
@@ -82,7 +85,7 @@ class Sitl:
         faults: what goes wrong.
 
     Raises:
-        UavrlError: where pymavlink is missing or an address is none.
+        UavrlError: where pymavlink is missing, or cyclonedds for ROS 2, or an address is none.
     """
 
     def __init__(
@@ -108,9 +111,17 @@ class Sitl:
         self._max_steps, self._patience, self._linger, self._pilot = max_steps, patience, linger, pilot_takes_over
         self.autopilot = SimulatedAutopilot(messages, firmware, armed=armed)
         self._telemetry = Telemetry(messages, self.autopilot)
-        self._ports = SitlPorts(messages, lidar, autopilot, self.autopilot.system, self._faults.signing_key_file)
-        self._packets: deque[tuple[float, bytes]] = deque()  # with their times
-        self._stream = PacketStream()
+        self._lidar: LidarOutput
+        if lidar.startswith(ROS2):
+            if self._faults.product is not None:
+                raise UavrlError(
+                    "faults.product is a byte of packets, and the clouds of ROS 2 have none: leave it out."
+                )
+            self._lidar = CloudOutput(lidar, episode.last_firing)
+        else:
+            self._lidar = PacketOutput(lidar)
+        self._ports = SitlPorts(messages, autopilot, self.autopilot.system, self._faults.signing_key_file)
+        self._packets: deque[tuple[float, Message]] = deque()  # with their times
         self._lateness: list[float] = []
         self._wanted: float | None = None  # when the first set-point was obeyed
         self._ended: float | None = None
@@ -120,6 +131,7 @@ class Sitl:
 
     def close(self) -> None:
         """Gives its ports back."""
+        self._lidar.close()
         self._ports.close()
 
     def run(self) -> Result:
@@ -150,7 +162,7 @@ class Sitl:
             self._tell(now)
             velocity, yaw_rate = self._demand(now)
             rays = self._episode.piece(velocity, yaw_rate)
-            self._packets += self._stream.add(self._episode.points[rays], rays.start, turn * TURN)
+            self._packets += self._lidar.add(self._episode.points, rays, turn * TURN)
             self._note(now + PIECE)
             piece += 1
             self._flown = piece * PIECE
@@ -161,7 +173,7 @@ class Sitl:
         while not self._is_over(now := self._now):
             before = self.autopilot.setpoints
             self._tell(now, pose=True)
-            self._send(encode_scan(self._episode.points, now), now)
+            self._send(self._lidar.whole(self._episode.points, now), now)
             self._await_setpoint(now + TURN, waited + self._patience)
             target = self.autopilot.setpoint(self._now)
             if self.autopilot.setpoints > before and target is not None and self._ended is None:
@@ -266,10 +278,10 @@ class Sitl:
                 )
             self._lost += behind
 
-    def _send(self, packets: list[bytes], now: float) -> None:
+    def _send(self, messages: list[Message], now: float) -> None:
         since = self._since(now)
-        self._ports.send_packets(self._faults.of_lidar(packets, since))
-        self._ports.send_packets_of_another(self._faults.of_second_sensor(packets, since))
+        self._lidar.send(self._faults.of_lidar(messages, since))
+        self._lidar.send_as_another(self._faults.of_second_sensor(messages, since))
 
     def _since(self, now: float) -> float | None:
         """Seconds since the first obeyed set-point."""

@@ -10,6 +10,7 @@ import pytest
 from tests.helpers.folders import ROOT
 from tests.helpers.measured import measured
 from tests.helpers.ports import free_ports
+from tests.helpers.ros2_peer import DOMAIN, LOOPBACK
 
 pytestmark = measured
 
@@ -40,6 +41,16 @@ def test_it_flies_to_the_goal(flight: Any, task: int, firmware: str) -> None:
     assert told["least_distance_m"] <= 1.0
     assert ("flying", "in_control") in states(told)
     assert told["latency_ms"]["median"] < 40.0, "it may be slow on a busy machine, not as slow as half a scan"
+
+
+def test_another_lidar_by_ros2(flight: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    lidar = f"lidar=ros2://{DOMAIN}/points"
+    sensor = (lidar, "hull.elevations=[-7,52]", "hull.repeats=false")
+    vehicle, told, printed = flight(0, "env.lidar=mid360", lidar, "perception.lidar.max_range=10", fly=sensor)
+    assert vehicle["outcome"] == "success" and told["arrived"], printed
+    assert told["latency_ms"]["median"] < 40.0
 
 
 def test_a_tenth_of_the_packets_is_lost_and_a_tenth_comes_late(flight: Any) -> None:
