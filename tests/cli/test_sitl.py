@@ -17,7 +17,10 @@ from uavrl.sitl.sitl import Result
     ("argument", "says"),
     [
         ("speed=fast", "speed must be a number or one of lockstep"),
-        ("lidar=udp://:2368", "lidar must be udp://HOST:PORT, where to send to, such as udp://127.0.0.1:2368, or ros2:///TOPIC"),
+        (
+            "lidar=udp://:2368",
+            "lidar must be udp://HOST:PORT, where to send to, such as udp://127.0.0.1:2368, or ros2:///TOPIC",
+        ),
         (
             "autopilot=tcp://127.0.0.1:1",
             "autopilot must be udp://HOST:PORT, where to send to, such as udp://127.0.0.1:14540",

@@ -214,3 +214,46 @@ def test_a_return_counts_in_its_degree_also_next_to_a_border() -> None:
     exact = np.floor(np.degrees(np.arctan2(y, x))).astype(int) % 360
     assert degrees_of(Columns.of(points)).tolist() == exact.tolist()
     assert (np.floor(np.degrees(np.arctan2(*points[:, 1::-1].T))).astype(int) % 360 != exact).any()
+
+
+SEEN = (-15.0, 15.0)
+
+
+def layer(elevation_deg: float, spread_deg: float = 0.0) -> np.ndarray:
+    """Walls at 2 to 6 m, seen at one elevation, or at some."""
+    far = 2.0 + 4.0 * np.cos(AZIMUTHS) ** 2
+    elevation = np.radians(elevation_deg + spread_deg * np.linspace(-0.5, 0.5, len(far)))
+    around = far * np.cos(elevation)
+    return np.stack([around * np.cos(AZIMUTHS), around * np.sin(AZIMUTHS), far * np.sin(elevation)], -1)
+
+
+@pytest.mark.parametrize(
+    ("scan", "seen", "doubted"),
+    [
+        (layer(0.0), SEEN, True),
+        (layer(-1.0, 0.5), SEEN, True),
+        (layer(0.0), (-7.0, 52.0), True),
+        (layer(0.0), (0.0, 0.0), False),
+        (layer(0.0), None, False),
+        (layer(0.0, 4.0), SEEN, False),
+        (layer(-15.0), SEEN, False),  # the ground, where a driver's range lets one beam alone reach it
+    ],
+)
+def test_returns_at_one_elevation_are_those_of_a_single_layer(
+    scan: np.ndarray, seen: tuple[float, float] | None, doubted: bool
+) -> None:
+    coverage = Coverage(elevations=seen)
+    found = [coverage.add(scan) for _ in range(WATCHED + 5)]
+    assert not any(found[: WATCHED - 1])
+    if not doubted:
+        assert not any(found)
+        return
+    last = found[-1]
+    assert last is not None and (last.kind, last.certain) == ("half_scan", True)
+    assert last.sentence.startswith("all returns lie at the same elevation, and the sensor should see from ")
+    assert "is it a 2-D LiDAR (hull.elevations=[0,0])?" in last.sentence
+
+
+def test_a_single_scan_with_several_elevations_answers_for_good() -> None:
+    coverage = Coverage(elevations=SEEN)
+    assert not any(coverage.add(scan) for scan in [layer(0.0, 8.0)] + [layer(0.0)] * 40)

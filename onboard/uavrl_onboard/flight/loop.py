@@ -92,7 +92,8 @@ class Flight:
         self._guards = Guards(contract.guard_settings, 1, contract.vehicle) if guards is None else guards
         lidar = contract.cloud.lidar
         sides = (-180.0, 180.0) if lidar is None else lidar.field_of_view[:2]
-        self._poses, self._coverage, self._motion, self._moves = PoseCheck(), Coverage(sides), ScanMotion(), moves
+        self._coverage = Coverage(sides, self._guards.vehicle.lidar_elevations)
+        self._poses, self._motion, self._moves = PoseCheck(), ScanMotion(), moves
         self.doubt: Doubt | None = None
         self._jumped = -math.inf  # stamp of the latest pose that jumped
         self._there = 0  # cycles in a row at the goal

@@ -31,6 +31,10 @@ ONE_RANGE = 10.0
 PARTS = (2, 2)
 """How often, at least, a direction has near returns again in 20 scans where each holds a part of a turn, and for how
 many scans in a row on average, at most: what a vehicle passes is seen once, and for long."""
+LAYER = 1.0
+"""Degrees of elevation within which all returns of a sensor with a single layer lie."""
+LEVEL = 2.0
+"""Degrees from the horizontal within which they are judged: steeper, the ground may be all that is in range."""
 _ODD = 5  # scans in a row whose ranges cannot be
 _SPREAD = (0.01, 5.0, 4)  # of one range: relative width; degrees of elevation and quarters of the horizon that have it
 _PART = (30, 10)  # degrees of a direction, and near returns in it, for parts of a turn
@@ -59,11 +63,12 @@ class Coverage:
     Open terrain has no returns where nothing is in range, which is no fault. A window is certain where its borders
     stay in the sensor's frame while the vehicle turns, or lie at right angles to its axes; and a sector is certainly
     lost where near returns cease in all of it from one scan to the next. Ranges that nobody can have measured are
-    certain, too, and so are scans of which each holds another part of a turn.
+    certain, too, and so are scans of which each holds another part of a turn, and returns at one elevation alone.
 
     Args:
         sides: the right and the left border of the sensor's field of view in degrees; what lies beside it is never
             missed.
+        elevations: its lowest and its highest ray in degrees; None where nobody says, and no elevation is missed.
 
     Examples:
         >>> coverage, nothing = Coverage(), np.full((100, 3), np.nan)
@@ -71,8 +76,12 @@ class Coverage:
         'empty_scans'
     """
 
-    def __init__(self, sides: tuple[float, float] = (-180.0, 180.0)) -> None:
+    def __init__(
+        self, sides: tuple[float, float] = (-180.0, 180.0), elevations: tuple[float, float] | None = None
+    ) -> None:
         right, left = sides
+        self._elevations = elevations
+        self._lowest, self._highest = math.inf, -math.inf  # sines of the elevations of all returns
         degrees = (np.arange(360) + 0.5 + 180.0) % 360.0 - 180.0
         self._beside = (degrees < right + _EDGE) | (degrees > left - _EDGE)
         if left - right > 360.0 - _EDGE:
@@ -113,7 +122,7 @@ class Coverage:
         if yaw is not None and math.isfinite(yaw):
             self._first_yaw = yaw if self._first_yaw is None else self._first_yaw
             self._turned = max(self._turned, abs(math.remainder(yaw - self._first_yaw, math.tau)))
-        return self._lost() or self._parts() or self._window()
+        return self._layer(columns) or self._lost() or self._parts() or self._window()
 
     def _count(self, columns: Columns) -> None:
         """Take in the returns."""
@@ -134,6 +143,22 @@ class Coverage:
         wide, enough = _PART
         near = degree.take(np.flatnonzero(far < (_NEAR * self._farthest) ** 2))
         self._near.append(np.bincount(near, minlength=360).reshape(-1, wide).sum(1) >= enough)
+
+    def _layer(self, columns: Columns) -> Doubt | None:
+        """Returns at one elevation alone, of a sensor that should see several."""
+        if self._elevations is None or self._elevations[1] - self._elevations[0] <= LAYER:
+            return None
+        if self._highest - self._lowest <= math.radians(LAYER):  # after that it has been answered for good
+            sines = columns.points[2] / np.sqrt(columns.squared)
+            self._lowest = min(self._lowest, float(sines.min()))
+            self._highest = max(self._highest, float(sines.max()))
+        level = math.sin(math.radians(LEVEL))
+        spread = self._highest - self._lowest
+        if self._scans < WATCHED or spread > math.radians(LAYER) or max(-self._lowest, self._highest) > level:
+            return None
+        should = "the sensor should see from {:g}° to {:g}°".format(*self._elevations)
+        cause = "does its driver publish a single ring, or is it a 2-D LiDAR (hull.elevations=[0,0])?"
+        return Doubt("half_scan", f"all returns lie at the same elevation, and {should}: {cause}", True)
 
     def _parts(self) -> Doubt | None:
         """Directions that have near returns in some scans and none in others, again and again."""
