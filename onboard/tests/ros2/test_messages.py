@@ -15,7 +15,7 @@ from tests.helpers.ros2_peer import same
 
 from uavrl_onboard.lidar.ros_messages import CLOUD, DEFINITIONS, PX4_CONTROL_MODE, PX4_SETPOINT
 from uavrl_onboard.ros2.dds import idl_type
-from uavrl_onboard.ros2.vehicle import twist_of
+from uavrl_onboard.ros2.vehicle import header_at, twist_of
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
 
@@ -93,6 +93,14 @@ def test_px4_s_modes_are_read_whatever_its_release(release: str) -> None:
         theirs = store.types[PX4_CONTROL_MODE](7, *[flag == true for flag in flags])
         ours = idl_type(PX4_CONTROL_MODE).deserialize(bytes(store.serialize_cdr(theirs, PX4_CONTROL_MODE)))
         assert [name for name in flags[:5] if getattr(ours, name)] == [true] and ours.timestamp == 7
+
+
+def test_a_cloud_is_written_as_cyclonedds_would_write_it_byte_by_byte() -> None:
+    data = bytes(range(256)) * 3
+    field = idl_type("sensor_msgs/msg/PointField")("x", 0, 7, 1)
+    message = idl_type(CLOUD)(header_at(1.5, "lidar"), 1, 64, [field], False, 12, len(data), data, False)
+    assert message.serialize() == type(message).__idl__.serialize(message)
+    assert bytes(type(message).deserialize(message.serialize()).data) == data
 
 
 def test_the_bytes_of_a_twist() -> None:

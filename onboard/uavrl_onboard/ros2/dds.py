@@ -70,8 +70,10 @@ def idl_type(name: str) -> Any:
     """The class of a message, such as ``geometry_msgs/msg/Twist``, for `cyclonedds`."""
     kinds = cyclonedds("idl.types")
     kind = _struct(name, kinds.sequence[kinds.uint8])
-    # cyclonedds makes a list of such a sequence, one number at a time, and knows no topics of bytes.
-    kind.deserialize = _struct(name, bytes).deserialize
+    # cyclonedds reads and writes such a sequence one number at a time, and knows no topics of bytes.
+    whole = _struct(name, bytes)
+    kind.deserialize = whole.deserialize
+    kind.serialize = lambda self, **how: whole.__idl__.serialize(self, **how)
     return kind
 
 
