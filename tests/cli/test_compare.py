@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from multiprocessing import Pipe
 from pathlib import Path
 
@@ -166,6 +167,35 @@ def test_files_of_other_worlds_are_refused(tmp_path: Path, capsys: pytest.Captur
     for file in (plain, mesh):
         assert in_process(main, dense, file, "row=dense") == 1
         assert "was not flown in the worlds of row=dense" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("row", "overrides", "valleys", "says"),
+    [
+        ("held_out", ["valleys=training"], [0], "but in 0 instead of 100, 101, 102, …, 109"),
+        ("held_out", [], list(range(106, 116)), "but in 106, 107, 108, …, 115 instead of 100"),
+        ("static", [], list(range(100, 110)), "but in 100, 101, 102, …, 109 instead of 0"),
+        ("held_out", ["env.max_speed=6"], list(range(100, 110)), "differ by env.max_speed=6"),
+        ("fast6", ["env.max_speed=4"], list(range(100, 110)), "differ by env.max_speed=4, env.max_speed=6"),
+        ("held_out", ["env.max_steps=100"], list(range(100, 110)), "differ by env.max_steps=100"),
+        ("static", ["env.aerodynamics.wind=[3.0,0.0,0.0]"], [0], "differ by env.aerodynamics.wind"),
+        ("held_out", ["randomize.mass=2"], list(range(100, 110)), "differ by randomize.mass=2"),
+        ("static", ["perception.lidar.dropout=0.1"], [0], "differ by perception.lidar.dropout=0.1"),
+        ("fast6", ["env.max_speed=6.0", "perception.lidar.far_range=12"], list(range(100, 110)), None),
+        ("static", ["env.lidar=mid360", "valleys=training"], [0], None),
+    ],
+)
+def test_a_file_of_other_valleys_speed_wind_or_flaws_is_refused(
+    row: str, overrides: list[str], valleys: list[int], says: str | None, tmp_path: Path
+) -> None:
+    about = {"seed": 20_000, "outcomes": "S" * 100, "env": "static", "overrides": overrides, "valleys": valleys}
+    (tmp_path / "one.json").write_text(json.dumps(about))
+    asked = CompareConfig("one", "two", row=row)
+    if says is None:
+        assert compare_command._recorded(tmp_path / "one.json", asked)[0] == "S" * 100
+        return
+    with pytest.raises(UavrlError, match=re.escape(says)):
+        compare_command._recorded(tmp_path / "one.json", asked)
 
 
 def test_another_lidar_is_no_other_world() -> None:

@@ -9,14 +9,15 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import yaml
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -29,6 +30,7 @@ from uavrl.config import EvaluateConfig, validate
 from uavrl.config.yaml_files import compose
 from uavrl.errors import UavrlError
 from uavrl.evaluation.policies import require_policy
+from uavrl.evaluation.worlds import TRAINING
 from uavrl.runs.episodes import LETTERS, outcomes_of, success_text, wilson
 from uavrl.runs.progress_line import ProgressLine
 from uavrl_onboard.cli.command import command
@@ -192,10 +194,21 @@ def _changes(row: str) -> list[str]:
     return scenarios([row])[row]
 
 
-def _world(overrides: Sequence[str]) -> set[str]:
-    """Those of some overrides that say in what kind of world was flown; valleys are chosen apart from it."""
-    told = {each.lstrip("+") for each in overrides} - {"randomize=none"}
-    return {each for each in told if each.partition("=")[0] in ("env", "randomize") or each.startswith("env.world.")}
+def _world(overrides: Sequence[str], sensor: Collection[str]) -> dict[str, Any]:
+    """What some overrides say about the world that was flown in, with some keys of the sensor; valleys come apart."""
+    told = {}
+    for each in overrides:
+        key, _, value = each.lstrip("+~").partition("=")
+        of_world = key in ("env", "randomize") or key.startswith(("env.", "randomize."))
+        if (of_world and key != "env.lidar") or key in sensor:
+            told[key] = yaml.safe_load(value)
+    return {key: value for key, value in told.items() if (key, value) != ("randomize", "none")}
+
+
+def _valleys(row: str) -> list[int]:
+    """The valleys of a scenario of the suite."""
+    config = _checked(["policy=straight", *in_worlds_of(_changes(row))])
+    return list(config.env.world.seeds if config.valleys == TRAINING else config.valleys)
 
 
 def _traffic(config: DictConfig, tasks: int, processes: int) -> str | None:
@@ -224,27 +237,50 @@ def _require_same_traffic(settings: CompareConfig, among: Mapping[str, str | Non
 def _recorded(file: Path, settings: CompareConfig) -> tuple[str, str | None]:
     """The outcomes that ``uavrl-evaluate`` wrote, in a file of one scenario or of the suite, and their traffic."""
     among: str | None = None
+    asked = _world(_changes(settings.row), sensor=_flaws())
     try:
         result = json.loads(file.read_text(encoding="utf-8"))
         result = result.get(settings.row, result)
         outcomes, seed = outcomes_of(result), result.get("seed", settings.seed)
-        flown = _world(result.get("overrides") or []) | ({f"env={result['env']}"} if result.get("env") else set())
+        flown = {"env": result["env"]} if result.get("env") else {}
+        flown |= _world(result.get("overrides") or [], sensor=_flaws())
+        valleys = result.get("valleys")
         if result.get("planes") and "num_uavs" in result:
             among = _traffic_text(result["num_uavs"], result.get("processes", 1))
     except OSError as error:
         raise UavrlError(f"{file} cannot be read ({error.strerror}): give a file that uavrl-evaluate wrote.") from error
     except (ValueError, AttributeError, KeyError, TypeError):
-        outcomes, seed, flown = None, settings.seed, set()
+        outcomes, seed, flown, valleys = None, settings.seed, {}, None
     if not isinstance(outcomes, str) or not outcomes or set(outcomes) - set(LETTERS.values()):
         raise UavrlError(f"{file} holds no outcomes of {settings.row}: give a file that uavrl-evaluate wrote.")
-    if (asked := _world(_changes(settings.row))) != flown and flown:
-        other = ", ".join(sorted(flown ^ asked))
+    if flown and asked != flown:
+        differ = sorted(key for key in asked.keys() | flown.keys() if asked.get(key) != flown.get(key))
+        other = ", ".join(f"{key}={each[key]}" for key in differ for each in (flown, asked) if key in each)
         raise UavrlError(
             f"{file} was not flown in the worlds of row={settings.row}, which differ by {other}: choose its row."
+        )
+    if valleys is not None and valleys != (known := _valleys(settings.row)):
+        raise UavrlError(
+            f"{file} was not flown in the valleys of row={settings.row}, but in {_some(valleys)} instead of "
+            f"{_some(known)}: choose its row, or evaluate it with suite=[{settings.row}]."
         )
     if seed != settings.seed:
         raise UavrlError(f"{file} holds tasks of seed {seed}, not {settings.seed}: add seed={seed}.")
     return outcomes, among
+
+
+def _flaws() -> set[str]:
+    """The keys of the sensor that any scenario of the suite sets."""
+    from uavrl.evaluation.suite import scenarios
+
+    keys = {each.partition("=")[0] for row in scenarios("all").values() for each in row}
+    return {key for key in keys if key.startswith("perception.lidar.")}
+
+
+def _some(valleys: Sequence[Any]) -> str:
+    """A list of valleys, shortened."""
+    told = [str(each) for each in valleys]
+    return ", ".join(told if len(told) <= 4 else [*told[:3], "…", told[-1]])
 
 
 class _Flights:
