@@ -1,6 +1,7 @@
 """Files that are whole or not there, and files of others that may lie about their lengths."""
 
 import errno
+import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,9 +14,11 @@ from uavrl_onboard.errors import UavrlError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Gives a file beside ``path`` to write to, which takes its place once it is whole."""
-    partial = path.with_name(path.name + ".partial")
-    partial.unlink(missing_ok=True)  # it may be a link to somewhere else
+    """Gives a file beside ``path`` to write to, which takes its place once it is whole.
+
+    It is of this call alone, so that two programs that write the same file do not write into each other's.
+    """
+    partial = _partial(path)
     try:
         with naming(path):
             yield partial
@@ -23,6 +26,15 @@ def replacing(path: Path) -> Iterator[Path]:
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+
+
+def _partial(path: Path) -> Path:
+    """A new, empty file beside another one, which nobody else has."""
+    while True:
+        partial = path.with_name(f"{path.name}.{secrets.token_hex(3)}.partial")
+        with suppress(FileExistsError):
+            partial.touch(exist_ok=False)
+            return partial
 
 
 @contextmanager
@@ -45,10 +57,7 @@ def writable(path: Path, option: str = "output=FILE") -> Path:
         # Root would put a file in the place of /dev/null, or of the link /dev/stdout, for all programs.
         if path.exists() and (not path.is_file() or path.absolute().parent == Path("/dev")):
             raise OSError(errno.EINVAL, "it is a device or a pipe, not a file")
-        partial = path.with_name(path.name + ".partial")
-        partial.unlink(missing_ok=True)  # it may be a link to somewhere else
-        partial.touch()
-        partial.unlink()
+        _partial(path).unlink()
     except OSError as error:
         raise UavrlError(f"{path} cannot be written ({why(error, path)}): choose another with {option}.") from error
     return path

@@ -1,5 +1,6 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
+import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ from uavrl_onboard.guards.command_line import join_guards
 from uavrl_onboard.vehicle import sight_for
 
 NONE = "none"  # the choice that leaves a part out
+_ONE_AT_A_TIME = threading.RLock()  # Hydra is one for the whole process
 
 
 def conf_dir() -> Path:
@@ -52,7 +54,7 @@ def compose(*overrides: str, name: str = "config", own: Iterable[Path] = ()) -> 
     register_resolvers()
     if folders := ["'file://" + str(folder.resolve()).replace("'", "\\'") + "'" for folder in own]:
         overrides = (*overrides, f"hydra.searchpath=[{','.join(folders)}]")
-    with _hydra_of_our_own(), initialize_config_dir(str(conf_dir()), version_base="1.3"):
+    with _ONE_AT_A_TIME, _hydra_of_our_own(), initialize_config_dir(str(conf_dir()), version_base="1.3"):
         return compose_again(*map(readable, join_guards(overrides)), name=name)
 
 

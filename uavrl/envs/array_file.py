@@ -14,9 +14,17 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def load_npy(file: Path | BinaryIO) -> np.ndarray:
-    """The array of an NPY file."""
+    """The array of an NPY file.
+
+    Raises:
+        ValueError: for an NPZ file of this name.
+    """
     with _ONE_AT_A_TIME:
-        return np.load(file, allow_pickle=False)
+        found = np.load(file, allow_pickle=False)
+        if not isinstance(found, np.ndarray):
+            found.close()
+            raise ValueError("it is an NPZ file by its content")
+        return found
 
 
 def load_npz(file: Path | BinaryIO) -> dict[str, np.ndarray]:

@@ -4,6 +4,7 @@ import ctypes
 import math
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -24,6 +25,7 @@ CLOSEST_DISTANCE_CAP = 5.0  # m
 SAMPLE_SPACING = 0.5  # m, at most, between samples of the surface
 SLACK = 0.02  # m: Bullet's distances are right within its collision margins
 
+_one_at_a_time = threading.RLock()  # the output of a process belongs to all its threads
 _release = ctypes.pythonapi.Py_DecRef
 _release.argtypes, _release.restype = [ctypes.py_object], None
 
@@ -34,6 +36,11 @@ def silenced() -> Iterator[None]:
     if os.name != "posix":
         yield
         return
+    with _one_at_a_time:
+        yield from _without_output()
+
+
+def _without_output() -> Iterator[None]:
     libc = ctypes.CDLL(None)
     libc.fflush(None)
     kept = os.dup(1), os.dup(2)

@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import yaml
 
+from uavrl.envs.array_file import load_npy
 from uavrl.envs.limits import require_finite
 from uavrl.errors import UavrlError, did_you_mean
 from uavrl_onboard.geometry import spherical
@@ -396,10 +397,7 @@ def _read(name: str, path: Path) -> np.ndarray:
         raise UavrlError(f"{told} have more than {_LARGEST_FILE:,} bytes, which no sensor needs: give fewer rays.")
     try:
         if suffix == ".npy":
-            found = np.load(path, allow_pickle=False)
-            if not isinstance(found, np.ndarray):  # by its content an NPZ file, which stays open
-                found.close()
-                raise ValueError("it is an NPZ file by its content")
+            found = load_npy(path)
         else:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is refused below

@@ -9,7 +9,6 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from uavrl.config import compose, validate
 from uavrl.entries import entry
@@ -18,6 +17,7 @@ from uavrl.evaluation.environment import make_env, with_sight
 from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor, with_trained_view
 from uavrl.evaluation.overrides import OF_SENSOR, keys_of, require_valley, with_overrides
 from uavrl.evaluation.worlds import FIRST_UNSEEN
+from uavrl.exploration import deterministic
 from uavrl.models.memory import IS_INIT, RECURRENT_STATE, RecurrentPolicy
 from uavrl.policy_protocol import PolicyModule
 from uavrl_onboard.guards.settings import guard_settings
@@ -73,7 +73,7 @@ class LoadedPolicy(PolicyModule):
         if self.recurrent_state is not None:
             read.set(IS_INIT, entry(tensordict, IS_INIT, self).to(weights.device))
             read.set(RECURRENT_STATE, entry(tensordict, RECURRENT_STATE, self).to(weights))
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        with torch.no_grad(), deterministic():
             acted = self.actor(read)
         for key in self.out_keys:
             tensordict.set(key, acted[key].to(observation.device))

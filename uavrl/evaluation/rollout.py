@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs import EnvBase, step_mdp
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from uavrl.evaluation.interventions import interventions
 from uavrl.evaluation.smoothness import action_change, yaw_reversals
+from uavrl.exploration import deterministic
 from uavrl.policy_protocol import Acts
 from uavrl.runs.episodes import outcome
 from uavrl.runs.progress_line import ProgressLine
@@ -60,7 +60,7 @@ def rollout(env: EnvBase, policy: Acts, state: TensorDictBase) -> Iterator[Tenso
     begins its next task when the step after is asked for.
     """
     while True:
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
+        with deterministic():
             stepped = env.step(policy(state))
         yield stepped
         state = env.maybe_reset(step_mdp(stepped))

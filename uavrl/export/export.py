@@ -8,6 +8,7 @@ import hashlib
 import logging
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from omegaconf import OmegaConf
@@ -38,7 +39,7 @@ from uavrl.transforms import (
 )
 from uavrl.transforms.composition import inner_transforms
 from uavrl.transforms.state import REDUCTIONS
-from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.files import writable
 from uavrl_onboard.guards.settings import GuardSettings
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK, Contract
 from uavrl_onboard.policy.contract_parts import Cells, Cloud, GuardTerms, LidarTerms, MemoryTerms, MotionTerms, Network
@@ -58,8 +59,9 @@ def export_policy(
     """Writes ``config.yaml``, the weights with ``policy.json``, a model card, and ``contract.json`` where there is one.
 
     With the contract goes ``policy.onnx`` if ``network``; where it cannot be made, a warning says why. ``guards`` are
-    those that the policy flies with by default. The policy is
-    that of :func:`load_actor`; what ``policy.json`` says of it is returned.
+    those that the policy flies with by default. The policy is that of :func:`load_actor`; what ``policy.json`` says of
+    it is returned. The folder holds no policy before all of it is written: without its contract it would fly without
+    its guards.
     """
     require_free(output)
     config, actor, known = load_actor(folder, checkpoint, "cpu", packages)
@@ -68,17 +70,18 @@ def export_policy(
     writable(output / POLICY.json, "output=FOLDER")
     config.run_dir = Path(str(config.run_dir)).name
     keep_directions(config, output)
-    with replacing(output / CONFIG) as partial:
-        partial.write_text(OmegaConf.to_yaml(with_name_alone(config)), encoding="utf-8")
-    saved = POLICY.save(output, actor.state_dict(), {"run": folder.resolve().name, **about})
-    terms = contract(validate(config), saved["weights_sha256"], guards)
-    if terms is not None:
-        terms = terms.model_copy(update={"network": _write_network(output, actor, terms) if network else None})
-        with replacing(output / CONTRACT) as partial:
-            partial.write_text(terms.sealed().to_text(), encoding="utf-8")
-    if (folder / STATEMENTS).is_file():
-        with replacing(output / STATEMENTS) as partial:
-            partial.write_bytes((folder / STATEMENTS).read_bytes())
+    with TemporaryDirectory(prefix=".export-", dir=output) as temporary:
+        made = Path(temporary)
+        (made / CONFIG).write_text(OmegaConf.to_yaml(with_name_alone(config)), encoding="utf-8")
+        saved = POLICY.save(made, actor.state_dict(), {"run": folder.resolve().name, **about})
+        terms = contract(validate(config), saved["weights_sha256"], guards)
+        if terms is not None:
+            terms = terms.model_copy(update={"network": _write_network(made, actor, terms) if network else None})
+            (made / CONTRACT).write_text(terms.sealed().to_text(), encoding="utf-8")
+        if (folder / STATEMENTS).is_file():
+            (made / STATEMENTS).write_bytes((folder / STATEMENTS).read_bytes())
+        for file in sorted(made.iterdir(), key=lambda each: each.name == POLICY.json):  # which makes it a policy
+            file.replace(output / file.name)
     write_card(output, output.resolve().name, evaluated=folder)
     return saved
 
@@ -90,8 +93,7 @@ def _write_network(output: Path, actor: TensorDictModuleBase, terms: Contract) -
     except UavrlError as error:
         log.warning("%s", error)
         return None
-    with replacing(output / NETWORK) as partial:
-        partial.write_bytes(content)
+    (output / NETWORK).write_bytes(content)
     digest = hashlib.sha256(content).hexdigest()
     memory = None
     if isinstance(actor, RecurrentPolicy):

@@ -17,9 +17,9 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from uavrl.errors import UavrlError
+from uavrl.exploration import deterministic
 from uavrl.models.memory import IS_INIT, MEMORY, RECURRENT_STATE, RecurrentPolicy
 
 OPSET = 18  # that PyTorch exports to; the file names the oldest that defines the same operators
@@ -179,7 +179,7 @@ def _quiet() -> Iterator[None]:
     try:
         with redirect_stdout(StringIO()), redirect_stderr(StringIO()), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with set_exploration_type(ExplorationType.DETERMINISTIC):
+            with deterministic():
                 yield
     finally:
         logging.disable(disabled)

@@ -1,0 +1,20 @@
+"""Acting without exploration noise, in programs with several threads, too."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+_ONE_AT_A_TIME = threading.RLock()
+
+
+@contextmanager
+def deterministic() -> Iterator[None]:
+    """Lets policies act without noise; one thread at a time.
+
+    TorchRL has one exploration type for the whole process. Of two threads that changed it side by side, the one that
+    ended last would leave it at what the other one had set.
+    """
+    with _ONE_AT_A_TIME, set_exploration_type(ExplorationType.DETERMINISTIC):
+        yield
