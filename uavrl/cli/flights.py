@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from uavrl.evaluation.shares import Share
 
 
+INPUTS = "inputs_sha256"  # the key of a result under which it tells what it depends on
+
+
 class Evaluation(NamedTuple):
     """One evaluation of a command.
 
@@ -37,11 +40,13 @@ class Evaluation(NamedTuple):
         config: of ``conf/evaluate.yaml``, composed.
         overrides: that composed it.
         output: the file of its result.
+        inputs: a hash of what it depends on, which its result tells; None: it tells none.
     """
 
     config: DictConfig
     overrides: list[str]
     output: Path
+    inputs: str | None = None
 
 
 class Job(NamedTuple):
@@ -213,6 +218,8 @@ def write_result(evaluation: Evaluation, settings: EvaluateConfig, shares: Seque
     told: dict[str, Any] = {"seed": settings.seed, "env": "", "overrides": result_overrides(evaluation.overrides)}
     told |= {"versions": versions(), "processor": processor()}
     result = merged(shares, told)
+    if evaluation.inputs is not None:
+        result[INPUTS] = evaluation.inputs
     with replacing(evaluation.output) as partial:
         partial.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return result

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from uavrl.cli.flights import Evaluation, Job, chosen_policy, in_processes, jobs_of, shares_of, write_result
+from uavrl.cli.flights import (
+    INPUTS,
+    Evaluation,
+    Job,
+    chosen_policy,
+    in_processes,
+    jobs_of,
+    shares_of,
+    write_result,
+)
 from uavrl.config import EvaluateConfig, validate
 from uavrl.config.yaml_files import compose_again
 from uavrl.errors import UavrlError
@@ -38,12 +48,18 @@ def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
     Each has a file of its own; one that is there already, of the same policy and tasks, is not made again.
     ``suite.json`` has these and all others of the policy that lie beside them.
     """
+    from uavrl.evaluation.identity import inputs_digest
     from uavrl.evaluation.suite import scenarios, suite_table
 
     kept = result_overrides(overrides, OWN)
     refuse_worlds(kept, "suite")
     every, chosen = scenarios("all"), scenarios(settings.suite or "all")
     configs = {name: _config(changes) for name, changes in chosen.items()}
+
+    @cache
+    def inputs(name: str) -> str:
+        return inputs_digest(configs[name] if name in configs else _config(every[name]), settings)
+
     own_folder = output_name("suite", result_overrides(kept))
     if settings.run is not None and settings.output is None:
         check_links(Path(settings.run), [own_folder])
@@ -51,14 +67,20 @@ def evaluate_suite(settings: EvaluateConfig, overrides: list[str]) -> None:
     writable(folder / "suite.json")
     outputs = {name: folder / f"{name}.json" for name in every}
     told = {name: [*kept, *changes] for name, changes in every.items()}
-    flown = {name: result for name in chosen if (result := _same(outputs[name], settings, told[name])) is not None}
+
+    def kept_result(name: str) -> dict[str, Any] | None:
+        return _same(outputs[name], settings, told[name], lambda: inputs(name))
+
+    flown = {name: result for name in chosen if (result := kept_result(name)) is not None}
     for name in flown:
         log.info("%s is there already", outputs[name])
-    missing = {name: Evaluation(configs[name], told[name], outputs[name]) for name in chosen if name not in flown}
+    missing = {
+        name: Evaluation(configs[name], told[name], outputs[name], inputs(name)) for name in chosen if name not in flown
+    }
     flown |= _evaluated(missing, settings) if missing else {}
     results = {name: flown[name] for name in chosen}
     # The others are read last: another command may have written some meanwhile.
-    found = {name: results.get(name) or _same(outputs[name], settings, told[name]) for name in every}
+    found = {name: results.get(name) or kept_result(name) for name in every}
     rows = {name: result for name, result in found.items() if result is not None}
     known = {name: {k: value for k, value in result.items() if k != "flights"} for name, result in rows.items()}
     with replacing(folder / "suite.json") as partial:
@@ -122,17 +144,21 @@ def _jobs(name: str, scenario: Evaluation, settings: EvaluateConfig, scenarios: 
         raise UavrlError(f"{name}: {error}") from error
 
 
-def _same(output: Path, settings: EvaluateConfig, told: list[str]) -> dict[str, Any] | None:
-    """The result in a file, if it is of these tasks and younger than the policy, else None."""
+def _same(output: Path, settings: EvaluateConfig, told: list[str], inputs: Callable[[], str]) -> dict[str, Any] | None:
+    """The result in a file, if it is of these tasks and of this policy, LiDAR and version of uavrl, else None.
+
+    A file from before results told what they depend on must be of the run that is named, and younger than the policy.
+    """
     try:
         result = json.loads(output.read_text(encoding="utf-8"))
         wanted = {"overrides": result_overrides(told), "episodes": settings.episodes, "seed": settings.seed}
-        same = all(result[key] == value for key, value in wanted.items()) and _is_of_run(result, settings)
+        same = all(result[key] == value for key, value in wanted.items())
+        same = same and (result[INPUTS] == inputs() if INPUTS in result else _is_of_run(result, settings))
         same = same and (not result.get("planes") or _is_divided(result, settings))
         result["outcomes"] = outcomes_of(result)  # which a file from before there were any tells by its flights
     except (OSError, ValueError, KeyError, TypeError):  # not there, something else, or damaged: it is made again
         return None
-    return result if same and output.stat().st_mtime >= _changed(settings) else None
+    return result if same and (INPUTS in result or output.stat().st_mtime >= _changed(settings)) else None
 
 
 def _is_divided(result: Mapping[str, Any], settings: EvaluateConfig) -> bool:
