@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,6 +37,13 @@ from uavrl_onboard.sentences import did_you_mean
 
 _ENDED_JOBS = {"BrokenProcessPool", "UncompletedJobError"}  # of joblib and of submitit, which need not be there
 _first = [BEGAN]  # further commands, of tests for instance, begin when they are called
+_FILES: dict[str, dict[str, str | None]] = {
+    "evaluate": {"output": None},
+    "replay": {"output": None, "data": None, "video": None},
+    "report": {"output": "report.html", "json": None},
+    "sitl": {"json": None},
+}
+"""By configuration: keys of files that a command writes, with their defaults, where these are the same for all jobs."""
 FULL_ERROR = "HYDRA_FULL_ERROR"  # with it set to 1 Hydra hands its errors on instead of printing them
 
 
@@ -70,6 +78,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
                 if show(sys.argv[1:], f"uavrl {__version__}", partial(help_text, name)):
                     return
                 _refuse_options(name)
+                _refuse_shared_files(name)
                 _read_texts()
                 configure_logging()
                 with _explaining(name, lambda: begun):
@@ -175,6 +184,20 @@ def _refuse_options(name: str) -> None:
         if not option.startswith("-"):
             raise UavrlError(f"{command} takes options before all that is KEY=VALUE: {option} stands behind one.")
         refuse_option(command, option, known_keys(name))
+
+
+def _refuse_shared_files(name: str) -> None:
+    """Refuses a sweep whose jobs would all write the same file, so that the last one's alone would be left."""
+    given = get_args_parser().parse_args(sys.argv[1:])
+    if not given.multirun:
+        return
+    told = {key.lstrip("+"): value for key, _, value in (each.partition("=") for each in given.overrides)}
+    for key, value in {**_FILES.get(name, {}), **told}.items():
+        if key in _FILES.get(name, {}) and value is not None and not re.search(r"[,$]|^(choice|range|glob)\(", value):
+            raise UavrlError(
+                f"Each job of the sweep would replace the {key}={value} of the one before: let it differ, such as "
+                f"{key}='{Path(value).with_name('${hydra:job.num}_' + Path(value).name)}'."
+            )
 
 
 def _read_texts() -> None:

@@ -17,9 +17,11 @@ from tests.helpers.recordings import CLOUD, SCAN, cloud_message, scan_message, s
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.geometry import is_return
 from uavrl_onboard.lidar import bags, sources
-from uavrl_onboard.lidar.pcap import read_datagrams
+from uavrl_onboard.lidar.packets import encode_scan
+from uavrl_onboard.lidar.pcap import read_datagrams, write_pcap
 from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
 from uavrl_onboard.lidar.udp import address, read_udp
+from uavrl_onboard.lidar.vlp16 import firing_directions
 
 POINTS = np.array([[1.0, 2.0, 3.0], [np.nan] * 3, [0.0, 0.0, 0.0], [-4.0, 5.5, 6.0]], np.float32)
 
@@ -175,3 +177,25 @@ def test_clouds_that_are_not_in_a_sensor_s_frame_are_refused(tmp_path: Path) -> 
         path = write_bag(tmp_path / name, "db3", {"/a": (CLOUD, messages)})
         with pytest.raises(UavrlError, match=said):
             list(ScanSource(path))
+
+
+def test_packets_alone_go_on_over_the_hour_at_which_the_sensor_counts_from_0(tmp_path: Path) -> None:
+    points = 3.0 * firing_directions()
+    turns = [encode_scan(points, 3599.0 + 0.1 * number) for number in range(20)]
+    (tmp_path / "hour.bin").write_bytes(b"".join(packet for turn in turns for packet in turn))
+    stamps = [scan.stamp for scan in ScanSource(tmp_path / "hour.bin", "VLP16")]
+    assert len(stamps) == 20
+    np.testing.assert_allclose(np.diff(stamps), 0.1, atol=2e-3)
+
+
+def test_a_capture_without_times_has_scans_a_tenth_of_a_second_apart(tmp_path: Path) -> None:
+    points = 3.0 * firing_directions()
+    packets = [packet for number in range(5) for packet in encode_scan(points, 0.1 * number)]
+    write_pcap(tmp_path / "none.pcap", [(0.0, packet) for packet in packets])
+    write_pcap(tmp_path / "some.pcap", [(2.0 + 0.001 * number, packet) for number, packet in enumerate(packets)])
+    source = ScanSource(tmp_path / "none.pcap", "VLP16")
+    stamps = [scan.stamp for scan in source]
+    np.testing.assert_allclose(stamps, [0.0, 0.1, 0.2, 0.3, 0.4])
+    assert source.remarks() == ["the capture's clock stands still: 4 scans of it count as 0.1 s after the one before."]
+    source = ScanSource(tmp_path / "some.pcap", "VLP16")
+    assert np.ptp([scan.stamp for scan in source]) == pytest.approx(0.3, abs=0.01) and source.remarks() == []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +12,16 @@ import numpy as np
 from uavrl_onboard.errors import UavrlError
 from uavrl_onboard.lidar import bags
 from uavrl_onboard.lidar.assemblers import make_assembler
-from uavrl_onboard.lidar.packets import FLAG, PACKET_SIZE
+from uavrl_onboard.lidar.packets import FLAG, HOUR, PACKET_SIZE
 from uavrl_onboard.lidar.pcap import PCAP, PCAPNG, read_datagrams
 from uavrl_onboard.lidar.scans import Assembler, Scan, Skipped
 from uavrl_onboard.lidar.senders import OneSender
 from uavrl_onboard.lidar.udp import NOTHING_CAME, address, read_udp
+from uavrl_onboard.pluralize import pluralize
 
 _RECORDINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", bags.ROSBAG1)
 _OSF = b"OSF$"  # from the ninth byte on, of a recording by ouster-sdk
+_TURN = 0.1  # s of most sensors
 _BATCH = 1000  # packets that are read from a file at once
 KINDS = (
     "udp://:PORT, a capture (.pcap), packets alone (.bin, 1,206 bytes each), a rosbag of ROS 1 (.bag), a rosbag of "
@@ -70,6 +74,7 @@ class ScanSource:
         self._sensor = model, product, metadata
         self.skipped, self.clock = Skipped(), bags.RecordedClock()
         self._senders: OneSender | None = None
+        self._standing = 0  # scans of a capture that have the time of the one before
         self.topic: bags.Topic | None = None
         if self.source.startswith("udp:"):
             address(self.source)
@@ -91,13 +96,26 @@ class ScanSource:
         assembler = make_assembler(*self._sensor)
         assembler.skipped = self.skipped
         self._senders = OneSender(assembler)
-        yield from self._some(self._assembled(assembler, self._senders), "", assembler)
+        scans = self._assembled(assembler, self._senders)
+        yield from self._some(self._advancing(scans) if self.kind == "pcap" else scans, "", assembler)
 
     def remarks(self) -> list[str]:
         """What the user should know of what was read so far: what was left out, and what is odd."""
         told = [f"left out: {reason}" for reason in self.skipped.sentences()]
+        if self._standing:
+            scans = pluralize(self._standing, "scan")
+            told.append(f"the capture's clock stands still: {scans} of it count as {_TURN} s after the one before.")
         odd = (self.clock.sentence(), None if self._senders is None else self._senders.sentence())
         return told + [sentence for sentence in odd if sentence is not None]
+
+    def _advancing(self, scans: Iterator[Scan]) -> Iterator[Scan]:
+        """The scans, one after the other, of a capture whose program has written no times."""
+        before, given, self._standing = math.nan, math.nan, 0
+        for scan in scans:
+            stands = scan.stamp == before
+            self._standing += stands
+            before, given = scan.stamp, given + _TURN if stands else scan.stamp
+            yield replace(scan, stamp=given)
 
     def _assembled(self, assembler: Assembler, senders: OneSender) -> Iterator[Scan]:
         stamp = 0.0
@@ -141,12 +159,19 @@ class ScanSource:
 
 
 def read_bare(path: Path) -> Iterator[tuple[float, bytes]]:
-    """The packets of a file that holds nothing else, with the sensor's own time in seconds past the hour."""
+    """The packets of a file that holds nothing else, with the sensor's own time in seconds past the first one's hour.
+
+    The sensor counts from 0 in each hour, and this goes on.
+    """
+    before = hours = 0
     with path.open("rb") as file:
         while batch := file.read(_BATCH * PACKET_SIZE):
             for start in range(0, len(batch), PACKET_SIZE):
                 packet = batch[start : start + PACKET_SIZE]
-                yield int.from_bytes(packet[-6:-2], "little") * 1e-6, packet
+                time = int.from_bytes(packet[-6:-2], "little")
+                hours += (time - before < -HOUR // 2) - (time - before > HOUR // 2 and hours > 0)
+                before = time
+                yield (hours * HOUR + time) * 1e-6, packet
 
 
 def _kind(path: Path) -> str:

@@ -228,14 +228,14 @@ class Rays(ContractPart):
     counts: str = says.RAYS
     step: float  #: degrees from one firing cycle to the next
     first: float
-    every: int
+    every: Annotated[int, Field(ge=1, le=10**6)]
 
 
 class ThreatTerms(ContractPart):
     """What threats are made with, as :mod:`uavrl_onboard.perception.motion.threats` has it."""
 
     speed: Annotated[float, Field(gt=0, le=1000)]
-    steps: int
+    steps: Annotated[int, Field(ge=1, le=10**6)]
     period: float
     lag: float
     wide: float
@@ -296,7 +296,7 @@ class MapTerms(ContractPart):
     reach: float = navigator.REACH
     cell: float = navigator.CELL
     level: float = navigator.LEVEL
-    every: int = navigator.EVERY
+    every: Annotated[int, Field(ge=1, le=10**6)] = navigator.EVERY
     ahead: float = navigator.AHEAD
     does: str = says.GUARD_MAP
 

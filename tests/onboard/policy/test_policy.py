@@ -25,10 +25,12 @@ from tests.helpers.recorded import READ, SCANNED, SCANS, RecordedScans
 from uavrl.config import validate
 from uavrl.evaluation.actor import read_policy
 from uavrl.evaluation.environment import build
+from uavrl.evaluation.policies import PACKAGED
 from uavrl.evaluation.rollout import rollout
 from uavrl.export.simulated import ExportedPolicy
 from uavrl.transforms import NavigationState, PointCloudReduction
 from uavrl_onboard.errors import UavrlError
+from uavrl_onboard.policy.contract import read_contract
 from uavrl_onboard.policy.policy import Policy
 
 STATES = 10_000
@@ -340,3 +342,12 @@ def test_a_sound_contract_that_is_not_the_exported_one_is_refused(change: Callab
         UavrlError, match="was changed after its export, as its checksum differs: export the policy again"
     ):
         Policy(path.parent)
+
+
+def test_a_whole_number_that_no_float_holds_is_refused(tmp_path: Path) -> None:
+    terms = json.loads((PACKAGED / "best" / "contract.json").read_text())
+    terms["guards"]["map"]["every"] = 10**400
+    del terms["sha256"]
+    (tmp_path / "contract.json").write_text(json.dumps(terms))
+    with pytest.raises(UavrlError, match=r"guards.map.every"):
+        read_contract(tmp_path)
