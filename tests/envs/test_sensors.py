@@ -244,6 +244,7 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
         (("azimuth", [45, -45]), r"azimuth must be two angles in degrees, the right one first"),
         (("blind_distance", 200.0), r"blind_distance must be 0 or more, and below max_range; got 200.0"),
         (("directions", "rays.csv"), r"needs one kind of rays"),
+        (("elevations", [True, False]), r"elevations must be finite numbers"),
     ]
     for given, told in refused:
         with pytest.raises(UavrlError, match=told):
@@ -260,6 +261,9 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
         _npy(tmp_path / "flat.npy", np.zeros(3)): r"have the shape \[3\] and type float64: rows must be",
         _npy(tmp_path / "nan.npy", np.full((2, 3), np.nan)): r"hold NaN or infinite values",
         _npy(tmp_path / "zero.npy", np.zeros((2, 3))): r"hold a ray of length 0",
+        _npy(
+            tmp_path / "zenith.npy", [[0.0, 38.0], [10.0, 97.0]]
+        ): r"hold elevations of up to 97 degrees, and 90 is straight up: .*; of zenith angles write 90 - zenith",
         _npy(tmp_path / "many.npy", np.ones((300_001, 3))): r"are 1 scans of 300,001 rays",
         _npy(
             tmp_path / "long.npy", np.ones((201, 2, 3))
@@ -268,6 +272,20 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
         with warnings.catch_warnings(), pytest.raises(UavrlError, match=told):
             warnings.simplefilter("error")
             lidar_sensor({"directions": path})
+
+
+@pytest.mark.parametrize("other", [{"azimuth": [-10, 10]}, {"azimuth_steps": 36}])
+def test_a_setting_that_a_file_of_directions_would_overrule_is_refused(other: dict[str, Any], tmp_path: Path) -> None:
+    rays = _npy(tmp_path / "rays.npy", [[0.0, 0.0], [90.0, 0.0]])
+    assert lidar_sensor({"directions": rays}).num_rays == 2
+    with pytest.raises(UavrlError, match="takes its rays from its file of directions: leave azimuth and"):
+        lidar_sensor({"directions": rays, **other})
+
+
+def test_a_single_step_looks_to_the_middle_of_its_field_of_view() -> None:
+    for azimuth, towards in (((-45, 45), [1.0, 0.0, 0.0]), ((0, 90), [0.5**0.5, 0.5**0.5, 0.0])):
+        sensor = lidar_sensor({"elevations": [0], "azimuth_steps": 1, "azimuth": list(azimuth)})
+        np.testing.assert_allclose(sensor.rays.directions[0, 0], towards, atol=1e-6)
 
 
 def test_a_sensor_of_ones_own_has_a_name_of_its_own() -> None:

@@ -259,10 +259,18 @@ def test_a_damaged_or_other_data_set_is_refused(data: Path, tmp_path: Path) -> N
     with pytest.raises(UavrlError, match=rf"action\.memmap has {len(whole) - 16:,} of {len(whole):,} bytes, so it"):
         uavrl.load_data(folder)
     rows = json.loads(about.read_text())
+    whole_description = json.dumps(rows)
     rows["action"]["shape"][0] -= 1
     about.write_text(json.dumps(rows))
     with pytest.raises(UavrlError, match=r"is damaged .*in all entries"):
         uavrl.load_data(folder)
+    about.write_text(whole_description)
+    actions.write_bytes(whole)
+    uavrl.load_data(folder)
+    (folder / "storage/next/meta.json").rename(folder / "storage/meta.aside")
+    with pytest.raises(UavrlError, match=r"has no next/meta\.json, so it is incomplete, .*: copy or write it again"):
+        uavrl.load_data(folder)
+    (folder / "storage/meta.aside").rename(folder / "storage/next/meta.json")
     (folder / "storage/meta.json").unlink()
     with pytest.raises(UavrlError, match=r"is damaged .*meta\.json is missing"):
         uavrl.load_data(folder)
@@ -273,3 +281,43 @@ def test_a_damaged_or_other_data_set_is_refused(data: Path, tmp_path: Path) -> N
         uavrl.load_data(tmp_path / "none")
     with pytest.raises(UavrlError, match=r"is neither a data set \(data\.json\) nor the folder of a run"):
         uavrl.load_data(tmp_path)
+
+
+def _other_type(folder: Path) -> str:
+    about = json.loads((folder / "storage/meta.json").read_text())
+    about["observation"]["dtype"] = "torch.int32"
+    (folder / "storage/meta.json").write_text(json.dumps(about))
+    return r"tells of observation as float32 \[\d+\], and it is int32 \[\d+\]"
+
+
+def _without_actions(folder: Path) -> str:
+    about = json.loads((folder / "storage/meta.json").read_text())
+    del about["action"]
+    (folder / "storage/meta.json").write_text(json.dumps(about))
+    return "also describes action"
+
+
+def _fewer(folder: Path) -> str:
+    about = json.loads((folder / "data.json").read_text())
+    (folder / "data.json").write_text(json.dumps({**about, "transitions": 5}))
+    return r"tells of 5 transitions, and there are \d+"
+
+
+def _nothing_described(folder: Path) -> str:
+    about = json.loads((folder / "data.json").read_text())
+    (folder / "data.json").write_text(json.dumps({**about, "keys": {}}))
+    return "lacks action"
+
+
+@pytest.mark.parametrize("change", [_other_type, _without_actions, _fewer, _nothing_described])
+def test_numbers_that_are_not_those_described_are_refused(change: Any, data: Path, tmp_path: Path) -> None:
+    folder = copied(data, tmp_path / "data")
+    told = change(folder)
+    with pytest.raises(UavrlError, match=f"is not that of its data.json, which {told}: copy all of it again"):
+        uavrl.load_data(folder)
+
+
+@pytest.mark.parametrize("size", [0, -1, 1.5, "a", True])
+def test_a_batch_of_no_size_is_refused(size: Any, data: Path) -> None:
+    with pytest.raises(UavrlError, match="batch_size must be a whole number of transitions, 1 or more, or None, got"):
+        uavrl.load_data(data, batch_size=size)

@@ -8,13 +8,15 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.envs import check_env_specs
+from torchrl.envs import Compose, InitTracker, TransformedEnv, check_env_specs, step_mdp
 
 from tests.helpers.configs import composed
 from tests.helpers.own_parts import CHOSEN, OWN, TRUSTED
 from tests.helpers.runs import small_config
+from tests.helpers.valleys import NEAR, SMALL
 from uavrl.config import compose
 from uavrl.config.validation import validate
+from uavrl.envs import NavigationEnv
 from uavrl.errors import UavrlError
 from uavrl.losses import ActionRate, ActorPenalty
 from uavrl.losses.networks import NetworkSizes, make_actor, network_sizes
@@ -194,3 +196,49 @@ def test_what_is_learned_from_is_what_can_be_flown() -> None:
     far = Demonstrator(lambda state: state.set("action", torch.tensor([[9, -9, 1, 0]])), [], 4, limit=2.0)
     acted = far(TensorDict({}, [1]))["demonstrator_action"]
     assert acted.dtype == torch.float32 and acted.tolist() == [[2.0, -2.0, 1.0, 0.0]]
+
+
+class Counting(torch.nn.Module):
+    """A demonstrator with a memory: its action tells how many observations of the episode it has seen before."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys, self.seen = ["is_init"], ["action"], torch.zeros(3, 1)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        counts = tensordict.get("_reset", torch.ones_like(tensordict["is_init"]))
+        self.seen = torch.where(tensordict["is_init"], 0.0, self.seen + 1) * counts + self.seen * ~counts
+        return tensordict.set("action", 0.01 * self.seen.expand(-1, 4))
+
+
+def test_a_demonstrator_with_a_memory_is_told_who_begins_an_episode() -> None:
+    base = NavigationEnv(3, world=SMALL, lidar=NEAR, max_steps=50)
+    env = TransformedEnv(base, Compose(InitTracker(), Demonstrator(Counting(), ["is_init"], 4)))
+    state, wanted = env.reset(), torch.zeros(3, 1)
+    for step in range(12):
+        torch.testing.assert_close(state["demonstrator_action"], 0.01 * wanted.expand(-1, 4))
+        stepped = env.step(state.set("action", torch.zeros(3, 4)))
+        ends = torch.tensor([[step % 3 == 1], [step == 5], [False]])
+        stepped["next", "done"], stepped["next", "truncated"] = ends, ends.clone()
+        state, wanted = env.maybe_reset(step_mdp(stepped)), torch.where(ends, 0.0, wanted + 1)
+    env.close()
+
+
+def test_a_planner_that_reads_whole_scans_demonstrates_and_no_scan_is_kept(tmp_path: Path) -> None:
+    planner = "demonstrator._target_=uavrl.planners.vfh_star.VFHStar"
+    env = make_training_env(validate(small_config(tmp_path / "run", planner)), seed=0)
+    state = env.rollout(3)
+    assert {"is_init", "demonstrator_action"} <= set(state.keys()) and "point_cloud" not in state.keys(True)
+    assert "point_cloud" not in env.observation_spec.keys(True) and state["demonstrator_action"].abs().max() > 0.1
+    env.close()
+
+
+def test_what_a_demonstrator_reads_without_asking_for_it_is_named() -> None:
+    env = NavigationEnv(1, world=SMALL, lidar=NEAR)
+
+    def lost(tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", tensordict["way"])
+
+    with pytest.raises(UavrlError, match=r"The demonstrator lost looks for .*way.*: name in its in_keys what it reads"):
+        TransformedEnv(env, Demonstrator(lost, [], 4)).reset()
+    env.close()

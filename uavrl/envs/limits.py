@@ -110,7 +110,9 @@ def require_finite(config: object, names: Iterable[str]) -> None:
         value = getattr(config, name)
         several = isinstance(known[name].default, tuple) or "tuple" in str(known[name].type).lower()
         numbers = value if several and isinstance(value, Iterable) and not isinstance(value, str) else (value,)
-        found = all(isinstance(number, Real) and math.isfinite(number) for number in numbers)
+        found = all(
+            isinstance(number, Real) and not isinstance(number, bool) and math.isfinite(number) for number in numbers
+        )
         if not found or (several and numbers is not value):
             raise UavrlError(f"{name} must be {'finite numbers' if several else 'a finite number'}, got {value!r}.")
         object.__setattr__(config, name, tuple(map(_plain, value)) if several else _plain(value))

@@ -26,20 +26,25 @@ class Quantity:
 
     Attributes:
         signs: of its numbers in a mirror at the vehicle's side; there are as many.
+        unit: of its numbers, as they are stored.
         divisor: brings it to about [-1, 1] for a network.
     """
 
     signs: tuple[float, ...]
+    unit: str
     divisor: float = 1.0
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "clearance": Quantity((1.0,), FARTHEST),
-    "planes": Quantity((1.0, -1.0, 1.0) * 2 * PLANES),
-    "wind": Quantity((1.0, -1.0, 1.0), STRONGEST),
-    "way": Quantity((1.0, -1.0)),
-    "mapped_way": Quantity((1.0, -1.0)),
-    "traps": Quantity((1.0,), MANY),
+    "clearance": Quantity((1.0,), "m", FARTHEST),
+    "planes": Quantity(
+        (1.0, -1.0, 1.0) * 2 * PLANES,
+        f"of each of {PLANES}: the direction times 1 - distance / {SIGHT:g} m, and the velocity over {FASTEST:g} m/s",
+    ),
+    "wind": Quantity((1.0, -1.0, 1.0), "m/s", STRONGEST),
+    "way": Quantity((1.0, -1.0), "a unit vector"),
+    "mapped_way": Quantity((1.0, -1.0), "a unit vector"),
+    "traps": Quantity((1.0,), "a number", MANY),
 }
 """``clearance``: m from the hull to the nearest thing, at most 5. ``planes``: of each of the three nearest within 20 m,
 its direction times ``1 - distance / 20``, and its velocity over 4 m/s; zeros for an absent one. ``wind``: m/s, without

@@ -115,6 +115,11 @@ class LidarSensor:
         if (self.directions is None) == (self.elevations is None):
             raise UavrlError(f"The LiDAR {self.name!r} needs one kind of rays: {own}.")
         if self.elevations is None:
+            if self.azimuth_steps is not None or self.azimuth != (-180.0, 180.0):
+                raise UavrlError(
+                    f"The LiDAR {self.name!r} takes its rays from its file of directions: leave azimuth and "
+                    "azimuth_steps out, or give elevations instead of directions."
+                )
             object.__setattr__(self, "_stamp", _stamp_of(Path(str(self.directions))))
             rays_of(self)  # which reads the file
             return
@@ -338,6 +343,8 @@ def _grid(sensor: LidarSensor) -> SensorRays:
     steps, (right, left) = sensor.azimuth_steps, np.radians(sensor.azimuth)
     if sensor.azimuth == (-180.0, 180.0):
         clockwise = np.arange(steps) * (math.tau / steps)
+    elif steps == 1:
+        clockwise = np.array([-(left + right) / 2])
     else:
         clockwise = np.linspace(-left, -right, steps)
     elevation = np.radians(np.tile(sensor.elevations, steps))
@@ -419,6 +426,11 @@ def _read(name: str, path: Path) -> np.ndarray:
     if not np.isfinite(found).all():
         raise UavrlError(f"{told} hold NaN or infinite values: every ray needs a direction.")
     if numbers == 2:
+        if np.abs(found[..., 1]).max() > 90:
+            raise UavrlError(
+                f"{told} hold elevations of up to {np.abs(found[..., 1]).max():g} degrees, and 90 is straight up: the "
+                f"columns are azimuth and elevation; of zenith angles write 90 - zenith."
+            )
         found = spherical(*np.radians(np.moveaxis(found, -1, 0)))
     largest = np.abs(found).max(-1, keepdims=True)
     if not (largest > 1e-6).all():

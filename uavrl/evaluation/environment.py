@@ -151,8 +151,8 @@ def require_keys(
         for key in read:
             if key not in emitted:
                 raise UavrlError(
-                    f"The {reader} reads {key!r}, which {type(env.base_env).__name__} does not emit: choose an env, a "
-                    f"perception and a reward that go together."
+                    f"The {reader} reads {key!r}, which {type(env.base_env).__name__} does not emit, or which its "
+                    f"perception has taken: choose an env, a perception and a reward that go together."
                 )
         emitted.update(written)
 

@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 
 from uavrl.config import compose, validate
-from uavrl.entries import entry
+from uavrl.entries import MissingEntry, entry
 from uavrl.errors import UavrlError
 from uavrl.evaluation.environment import make_env, with_sight
 from uavrl.evaluation.field_of_view import check_field_of_view, trained_sensor, with_trained_view
@@ -71,8 +71,13 @@ class LoadedPolicy(PolicyModule):
         weights = next(self.parameters(), observation)  # the host may compute elsewhere, and in another precision
         read = TensorDict({"observation": observation.to(weights)}, tensordict.batch_size)
         if self.recurrent_state is not None:
-            read.set(IS_INIT, entry(tensordict, IS_INIT, self).to(weights.device))
-            read.set(RECURRENT_STATE, entry(tensordict, RECURRENT_STATE, self).to(weights))
+            for key in (IS_INIT, RECURRENT_STATE):
+                if tensordict.get(key, None) is None:
+                    primer = f"TensorDictPrimer({{{RECURRENT_STATE!r}: Unbounded({self.recurrent_state})}}"
+                    remedy = f"append TorchRL's InitTracker() and {primer}, expand_specs=True) to your environment"
+                    raise MissingEntry(self, key, "the data contain", tensordict.keys(True, True), remedy)
+            read.set(IS_INIT, tensordict[IS_INIT].to(weights.device))
+            read.set(RECURRENT_STATE, tensordict[RECURRENT_STATE].to(weights))
         with torch.no_grad(), deterministic():
             acted = self.actor(read)
         for key in self.out_keys:

@@ -16,6 +16,7 @@ from torchrl.data import LazyMemmapStorage
 
 from uavrl.buffers.sequences import EPISODE
 from uavrl.config import TrainConfig, validate
+from uavrl.envs.privileged import QUANTITIES
 from uavrl.errors import UavrlError
 from uavrl.export.export import contract
 from uavrl.export.recorded import DATA, FORMAT, STORAGE, VERSION, Recorded, read_recorded
@@ -114,6 +115,15 @@ def _keys(row: TensorDictBase, settings: TrainConfig, ours: bool) -> dict[Nested
     return found
 
 
+def _read_by_critics(name: str) -> str:
+    """What is stored of a quantity that critics read."""
+    if (quantity := QUANTITIES.get(name)) is None:
+        return f"{name}, as the environment emits it"
+    scaled = "" if quantity.divisor == 1.0 else f" divided by {quantity.divisor:g}"
+    numbers = f"{len(quantity.signs)} number{'s' * (len(quantity.signs) > 1)}"
+    return f"{name}, {numbers} ({quantity.unit}{scaled})"
+
+
 def _meanings(settings: TrainConfig, ours: bool) -> dict[tuple[str, ...], str]:
     steps, gamma = settings.algo.get("n_steps", 1), settings.algo.get("gamma")
     action = ": forward, left and up in m/s, yaw rate in rad/s; see policy_inputs.action" if ours else ""
@@ -122,14 +132,14 @@ def _meanings(settings: TrainConfig, ours: bool) -> dict[tuple[str, ...], str]:
     later = "`steps_to_next_obs` steps later" if several else "one step later"
     reward = f"sum of the rewards of these steps, discounted by {gamma} per step" if several else "of the step"
     relabelled = settings.backward_reward.get("_target_") is not None
-    reads = ", ".join(settings.algo.get("critic_reads", ()))
+    reads = "; ".join(_read_by_critics(name) for name in settings.algo.get("critic_reads", ()))
     return {
         ("observation",): f"the input of the policy: {state}",
         (
             "action",
         ): f"the action of the policy or demonstrator there, with exploration noise; guards may change it{action}",
         (DEMONSTRATOR_ACTION,): f"the action of the demonstrator there{action}",
-        (PRIVILEGED,): f"additional input of the critics: {reads}",
+        (PRIVILEGED,): f"additional input of the critics, one after the other: {reads}",
         (EPISODE,): "number of the episode, from 0; its transitions are next to each other, in the order of flight",
         ("steps_to_next_obs",): f"steps to the next observation: {steps}, or fewer at the end of an episode",
         ("next", "observation"): f"the same, {later}",

@@ -144,6 +144,9 @@ def load_data(
         torch.Size([512, 237])
     """
     place = Path(folder).expanduser()
+    whole = batch_size is None or (isinstance(batch_size, int) and not isinstance(batch_size, bool))
+    if not whole or (batch_size is not None and batch_size < 1):
+        raise UavrlError(f"batch_size must be a whole number of transitions, 1 or more, or None, got {batch_size!r}.")
     storage: Storage
     if (place / DATA).is_file():
         if checkpoint is not None:
@@ -189,4 +192,26 @@ def _read_storage(folder: Path) -> TensorStorage:
         raise
     except Exception as error:
         raise UavrlError(f"The data set {folder} is damaged ({error}): {again}.") from error
+    if (wrong := _differs(about, data)) is not None:
+        raise UavrlError(
+            f"The data set {folder} is not that of its {DATA}, which {wrong}: copy all of it again, or {again}."
+        )
     return TensorStorage(data)
+
+
+def _differs(about: Any, data: TensorDictBase) -> str | None:
+    """What the description of a data set says otherwise than its tensors; None where both agree."""
+    keys = about.get("keys") if isinstance(about, dict) else None
+    if not isinstance(keys, dict):
+        return "describes no entries"
+    if about.get("transitions") != len(data):
+        return f"tells of {about.get('transitions')} transitions, and there are {len(data)}"
+    stored = {".".join((key,) if isinstance(key, str) else key): key for key in data.keys(True, True)}
+    for name in sorted(stored.keys() | keys.keys()):
+        if name not in stored or not isinstance(keys.get(name), dict):
+            return f"{'lacks' if name in stored else 'also describes'} {name}"
+        value, told = data.get(stored[name]), keys[name]
+        shape, dtype = list(value.shape[1:]), str(value.dtype).removeprefix("torch.")
+        if (shape, dtype) != (told.get("shape"), told.get("dtype")):
+            return f"tells of {name} as {told.get('dtype')} {told.get('shape')}, and it is {dtype} {shape}"
+    return None

@@ -186,6 +186,8 @@ def how_to_go_on(run_dir: Path, packages: Iterable[str] = ()) -> str:
         flown = len(read_episodes(run_dir / EPISODES))
     except Exception:  # damaged meanwhile: whoever goes on is told what, and nothing may hide that the run was stopped
         return f"stopped: resume with {go_on}."
+    if flown == saved == 0:
+        return f"stopped before the first episode has ended: resume with {go_on}."
     if flown == saved:
         return f"stopped after episode {flown}, which is saved: resume with {go_on}."
     again = f"episode {flown}" if flown == saved + 1 else f"episodes {saved + 1} to {flown}"

@@ -144,7 +144,12 @@ def _check_tensors(path: Path, name: str, about: dict[str, Any], sizes: dict[str
         if not isinstance(entry, dict) or re.fullmatch(r"\w+", key) is None:
             raise _refused(path, f"{name} with the entry {key[:80]!r}")
         if "type" in entry:
-            whole = entry["type"] == "TensorDict" and f"{folder}{key}/meta.json" in sizes
+            whole = entry["type"] == "TensorDict"
+            if whole and f"{folder}{key}/meta.json" not in sizes:
+                raise UavrlError(
+                    f"{path} has no {folder}{key}/meta.json, so it is incomplete, and none of it was loaded: copy or "
+                    f"write it again."
+                )
         else:
             size, there = _size(entry), sizes.get(f"{folder}{key}.memmap", 0)
             whole = size == there

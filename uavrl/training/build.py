@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.checkpoint import Checkpoint
 from torchrl.collectors import BaseCollector
 from torchrl.data import RandomSampler
-from torchrl.envs import Compose, EnvBase, TransformedEnv
+from torchrl.envs import Compose, EnvBase, ExcludeTransform, TransformedEnv
 from torchrl.modules import AdditiveGaussianModule
 
 import uavrl
@@ -42,7 +42,7 @@ from uavrl.losses.networks import (
     network_sizes,
     recurrent_shape,
 )
-from uavrl.models.memory import CRITIC_MEMORY, RecurrentPolicy
+from uavrl.models.memory import CRITIC_MEMORY, IS_INIT, RecurrentPolicy
 from uavrl.policy_protocol import as_policy
 from uavrl.runs.checkpoint import restore, rotation
 from uavrl.runs.config import fingerprint
@@ -268,6 +268,9 @@ def prepare_valleys(settings: TrainConfig) -> None:
         map_places(world)
 
 
+CLOUD = "point_cloud"
+
+
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     """The environment of a run; a scripted controller acts in it first where ``demonstrator`` names one."""
     parts, packages = (settings.env, with_stride(settings), settings.reward), settings.packages
@@ -282,10 +285,14 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
         return make_env(*parts, **carried, packages=packages, seed=seed)
     demonstrator = as_policy(acts)
     carried |= {"packages": packages, "policy_reads": demonstrator.in_keys, "seed": seed}
+    reads_cloud = CLOUD in demonstrator.in_keys
+    carried |= {"mark_resets": IS_INIT in demonstrator.in_keys, "keep_cloud": reads_cloud}
     env = cast(DemonstratorEnv, make_env(*parts, **carried, kind=DemonstratorEnv))
     require_keys(env, [(demonstrator.in_keys, ())], "demonstrator")
     sizes = network_sizes(env)
     env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions, sizes.limit))
+    if reads_cloud:
+        env.append_transform(ExcludeTransform(CLOUD))  # nobody else reads it, and a buffer of clouds would be huge
     env.noise = make_noise(settings, sizes, torch.device("cpu"))
     return env
 

@@ -14,10 +14,15 @@ from uavrl.policy_protocol import Acts
 from uavrl.shown import Shown
 
 DEMONSTRATOR_ACTION = "demonstrator_action"
+_RESET = "_reset"  # TorchRL's key of those that begin an episode
 
 
 class Demonstrator(Shown, Transform):
     """A transform that writes the demonstrator's action beside each observation.
+
+    When some of several vehicles begin an episode, the demonstrator is asked again for all of them, and only its answer
+    for those that begin counts. The entry ``_reset`` ``bool [*B, 1]``, which it has only then, says which these are: a
+    demonstrator with a memory must leave that of the others as it is.
 
     Args:
         demonstrator: writes ``action`` into a TensorDict with the environment's observations.
@@ -36,7 +41,13 @@ class Demonstrator(Shown, Transform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.in_keys:
             entry(next_tensordict, key, self)
-        acted = self.demonstrator(next_tensordict.exclude("action"))
+        try:
+            acted = self.demonstrator(next_tensordict.exclude("action"))
+        except KeyError as error:
+            raise UavrlError(
+                f"The demonstrator {self._name()} looks for {error}, which it was not given: name in its in_keys what "
+                "it reads."
+            ) from error
         action = acted.get("action", None) if isinstance(acted, TensorDictBase) else None
         self._require_action(action, (*next_tensordict.batch_size, self.actions))
         assert action is not None
@@ -55,15 +66,24 @@ class Demonstrator(Shown, Transform):
             wrong = "NaN or infinity"
         else:
             return
-        name = getattr(self.demonstrator, "__name__", type(self.demonstrator).__name__)
         raise UavrlError(
-            f"The demonstrator {name} must write action, finite numbers of shape {list(shape)}, got {wrong}."
+            f"The demonstrator {self._name()} must write action, finite numbers of shape {list(shape)}, got {wrong}."
         )
+
+    def _name(self) -> str:
+        return str(getattr(self.demonstrator, "__name__", type(self.demonstrator).__name__))
 
     forward = _call
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return self._call(tensordict_reset)
+        begin = None if tensordict is None else tensordict.get(_RESET, None)
+        if begin is None:
+            return self._call(tensordict_reset)
+        made = self._call(tensordict_reset.copy().set(_RESET, begin))
+        action, before = made[DEMONSTRATOR_ACTION], tensordict.get(DEMONSTRATOR_ACTION, None)
+        if before is not None:
+            action = torch.where(begin, action, before)
+        return tensordict_reset.set(DEMONSTRATOR_ACTION, action)
 
     def transform_observation_spec(self, observation_spec: TensorSpec) -> TensorSpec:
         """Add the demonstrator's action."""
