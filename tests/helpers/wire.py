@@ -29,7 +29,7 @@ class Wire:
         self.episode, messages = LiveEpisode(env.base_env, task), mavlink()
         self.pilot = SimulatedAutopilot(messages, "px4")
         self.telemetry, port = Telemetry(messages, self.pilot), free_port()
-        self.ports = SitlPorts(messages, "udp://127.0.0.1:9", f"udp://127.0.0.1:{port}", 1)
+        self.ports = SitlPorts(messages, f"udp://127.0.0.1:{port}", 1)
         self.link, self.assembler, self.now = Autopilot(f"udp://127.0.0.1:{port}"), ScanAssembler("VLP16"), 50.0
         self.policy, self.read = Policy(folder), list[np.ndarray]()
         inner = self.policy.state

@@ -24,7 +24,7 @@ TRAINS = [
     {"models", "transforms"},
     {"runs"},
     {"config"},
-    {"upstream", "entries", "shown", "policy_protocol"},
+    {"upstream", "entries", "exploration", "shown", "policy_protocol"},
     {"errors"},
 ]
 FLIES = [
