@@ -65,5 +65,5 @@ def test_a_lidar_of_ones_own_counts_by_its_content(policy: Path) -> None:
 def test_tasks_worlds_and_version_count(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = "policy=vfh", "perception=range_image"
     seen = [digest(*asked), digest(*asked, "seed=3"), digest(*asked, "env.world.obstacles=90")]
-    monkeypatch.setattr(identity, "__version__", "9.9")
+    monkeypatch.setattr(identity, "versions", lambda: {"uavrl": "9.9"})
     assert len({*seen, digest(*asked)}) == 4

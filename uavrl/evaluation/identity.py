@@ -10,12 +10,12 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from uavrl import __version__
 from uavrl.config import EvaluateConfig
 from uavrl.envs.sensors import sensor_settings
 from uavrl.evaluation.policies import exported_folder, file_of_policy, policy_folder
 from uavrl.runs.checkpoint import checkpoint_path
 from uavrl.runs.names import CONFIG
+from uavrl.runs.provenance import versions
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK
 
@@ -35,7 +35,7 @@ def inputs_digest(config: DictConfig, settings: EvaluateConfig) -> str:
     told = {str(key): value for key, value in plain.items() if key not in _PLACES}
     if exported_folder(str(settings.policy)) is not None:
         del told["policy"]
-    parts: list[Any] = [__version__, told, _lidar(told)]
+    parts: list[Any] = [versions()["uavrl"], told, _lidar(told)]
     parts += [_digest(path) for path in _files(settings)]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
