@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import sys
+import threading
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -21,6 +24,8 @@ import uavrl
 from tests.helpers.folders import ROOT
 from uavrl.config import compose
 from uavrl.envs.bullet import connect, pybullet
+from uavrl.evaluation.rollout import rollout
+from uavrl.locks import OneAtATime
 from uavrl_onboard.files import replacing, writable
 
 
@@ -108,3 +113,41 @@ def test_an_export_that_is_interrupted_leaves_no_policy(tmp_path: Path, monkeypa
     assert list((tmp_path / "mine").iterdir()) == []
     export.export_policy(PACKAGED / "best", None, tmp_path / "mine", network=False)
     assert {"contract.json", "policy.json", "config.yaml"} <= {each.name for each in (tmp_path / "mine").iterdir()}
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked here")
+def test_a_forked_child_does_not_wait_for_a_thread_of_its_parent() -> None:
+    lock, taken, leave = OneAtATime(), threading.Event(), threading.Event()
+
+    def hold() -> None:
+        with lock:
+            taken.set()
+            leave.wait(30)
+
+    holder = threading.Thread(target=hold)
+    holder.start()
+    assert taken.wait(30)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside threads, which is what this is about
+        child = os.fork()
+    if child == 0:
+        signal.alarm(20)
+        with lock:
+            os._exit(0)
+    leave.set()
+    holder.join()
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_an_environment_may_act_in_a_thread_of_its_own_while_it_steps() -> None:
+    policy = uavrl.load_policy("best")
+    seen = TensorDict({"observation": torch.zeros(1, policy.inputs)}, [1])
+
+    class Env:
+        def step(self, state: TensorDict) -> TensorDict:
+            with ThreadPoolExecutor(1) as thread:
+                thread.submit(policy, seen.clone()).result(30)
+            return state.set("next", state.clone())
+
+    stepped = next(rollout(Env(), policy, seen.clone()))  # type: ignore[arg-type]
+    assert "action" in stepped

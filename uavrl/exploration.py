@@ -1,12 +1,13 @@
 """Acting without exploration noise, in programs with several threads, too."""
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-_ONE_AT_A_TIME = threading.RLock()
+from uavrl.locks import OneAtATime
+
+_ONE_AT_A_TIME = OneAtATime()
 
 
 @contextmanager

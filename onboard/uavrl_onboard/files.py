@@ -16,7 +16,8 @@ from uavrl_onboard.errors import UavrlError
 def replacing(path: Path) -> Iterator[Path]:
     """Gives a file beside ``path`` to write to, which takes its place once it is whole.
 
-    It is of this call alone, so that two programs that write the same file do not write into each other's.
+    It is of this call alone, so that two programs that write the same file do not write into each other's. Only a
+    program that is killed leaves it behind, as ``NAME.….partial``.
     """
     partial = _partial(path)
     try:

@@ -144,7 +144,13 @@ def test_mistakes_are_told_before_anything_flies(
     assert says in err and err.startswith("uavrl: ") and err.count("\n") == 1
 
 
-@pytest.mark.parametrize("text", ["[]", "{", '{"outcomes": "SXS"}', '{"static": {"episodes": 3}}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("[]", "{", '{"outcomes": "SXS"}', '{"static": {"episodes": 3}}'),
+        '{"outcomes": "S", "overrides": ["env.x=[1"]}',
+    ],
+)
 def test_a_file_without_outcomes_is_refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "a.json").write_text(text)
     assert in_process(main, str(tmp_path / "a.json"), "best", "row=static") == 1
@@ -180,7 +186,8 @@ def test_files_of_other_worlds_are_refused(tmp_path: Path, capsys: pytest.Captur
         ("held_out", ["env.max_steps=100"], list(range(100, 110)), "differ by env.max_steps=100"),
         ("static", ["env.aerodynamics.wind=[3.0,0.0,0.0]"], [0], "differ by env.aerodynamics.wind"),
         ("held_out", ["randomize.mass=2"], list(range(100, 110)), "differ by randomize.mass=2"),
-        ("static", ["perception.lidar.dropout=0.1"], [0], "differ by perception.lidar.dropout=0.1"),
+        ("sensor", ["perception.lidar.dropout=0.2"], [0], "differ by perception.lidar.dropout=0.2"),
+        ("static", ["perception.lidar.dropout=0.1"], [0], None),  # as a policy that is flown may have it
         ("fast6", ["env.max_speed=6.0", "perception.lidar.far_range=12"], list(range(100, 110)), None),
         ("static", ["env.lidar=mid360", "valleys=training"], [0], None),
     ],

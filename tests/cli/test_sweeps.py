@@ -36,3 +36,6 @@ def test_files_that_differ_are_not(value: str, monkeypatch: pytest.MonkeyPatch) 
     command._refuse_shared_files("report")
     monkeypatch.setattr("sys.argv", ["uavrl-report", "window=20", "output=r.html"])
     command._refuse_shared_files("report")
+    for words in (["policy=a,b", "output=null"], ["policy=a", "suite=[static],[dense]", "output=results"]):
+        monkeypatch.setattr("sys.argv", ["uavrl-evaluate", "-m", *words])
+        command._refuse_shared_files("evaluate")

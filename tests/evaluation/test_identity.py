@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -41,7 +42,7 @@ def test_the_folder_itself_and_where_the_result_goes_do_not_matter(policy: Path)
     assert digest("run=moved", "output=elsewhere.json", "progress=false") == before
 
 
-@pytest.mark.parametrize("name", ["contract.json", "config.yaml", "policy.json"])
+@pytest.mark.parametrize("name", ["contract.json", "config.yaml", "policy.json", "lidar_directions.csv"])
 def test_a_contract_with_other_guards_is_another_policy(name: str, policy: Path) -> None:
     before = digest("run=pol")
     with (policy / name).open("a") as file:
@@ -67,3 +68,29 @@ def test_tasks_worlds_and_version_count(monkeypatch: pytest.MonkeyPatch) -> None
     seen = [digest(*asked), digest(*asked, "seed=3"), digest(*asked, "env.world.obstacles=90")]
     monkeypatch.setattr(identity, "versions", lambda: {"uavrl": "9.9"})
     assert len({*seen, digest(*asked)}) == 4
+
+
+@pytest.mark.parametrize("folder", ["onb", "./onb"])
+def test_a_policy_for_a_companion_computer_has_no_weights(folder: str, policy: Path) -> None:
+    (policy.parent / "onb").mkdir()
+    shutil.copy(policy / "contract.json", policy.parent / "onb")
+    (policy.parent / "onb" / "policy.onnx").write_bytes(b"one")
+    before = digest(f"policy={folder}")
+    (policy.parent / "onb" / "policy.onnx").write_bytes(b"two")
+    assert digest(f"policy={folder}") != before
+
+
+def test_a_model_of_stable_baselines_counts_by_its_content(policy: Path) -> None:
+    (policy / "deep").mkdir()
+    seen = []
+    for text in ("one", "two"):
+        with zipfile.ZipFile(policy / "deep" / "ppo.zip", "w") as archive:
+            archive.writestr("data", text)
+        seen.append(digest("policy=pol/deep/ppo.zip", "packages=[stable_baselines3]"))
+    assert seen[0] != seen[1]
+
+
+def test_a_folder_called_like_a_baseline_is_not_the_policy(policy: Path) -> None:
+    before = digest("policy=vfh", "perception=range_image")
+    (policy.parent / "vfh").mkdir()
+    assert digest("policy=vfh", "perception=range_image") == before

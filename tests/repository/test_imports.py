@@ -25,7 +25,7 @@ TRAINS = [
     {"runs"},
     {"config"},
     {"upstream", "entries", "exploration", "shown", "policy_protocol"},
-    {"errors"},
+    {"errors", "locks"},
 ]
 FLIES = [
     {"cli"},

@@ -226,7 +226,9 @@ def test_a_demonstrator_with_a_memory_is_told_who_begins_an_episode() -> None:
 
 def test_a_planner_that_reads_whole_scans_demonstrates_and_no_scan_is_kept(tmp_path: Path) -> None:
     planner = "demonstrator._target_=uavrl.planners.vfh_star.VFHStar"
-    env = make_training_env(validate(small_config(tmp_path / "run", planner)), seed=0)
+    with pytest.raises(UavrlError, match=r"demonstrator must be one that has no memory: a planner .*num_uavs=1 alone"):
+        make_training_env(validate(small_config(tmp_path / "run", planner, "env.num_uavs=2")), seed=0)
+    env = make_training_env(validate(small_config(tmp_path / "run", planner, "env.num_uavs=1")), seed=0)
     state = env.rollout(3)
     assert {"is_init", "demonstrator_action"} <= set(state.keys()) and "point_cloud" not in state.keys(True)
     assert "point_cloud" not in env.observation_spec.keys(True) and state["demonstrator_action"].abs().max() > 0.1
@@ -239,6 +241,6 @@ def test_what_a_demonstrator_reads_without_asking_for_it_is_named() -> None:
     def lost(tensordict: TensorDictBase) -> TensorDictBase:
         return tensordict.set("action", tensordict["way"])
 
-    with pytest.raises(UavrlError, match=r"The demonstrator lost looks for .*way.*: name in its in_keys what it reads"):
+    with pytest.raises(UavrlError, match=r"lost reads an entry that its in_keys do not name \(.*way.*: add it to them"):
         TransformedEnv(env, Demonstrator(lost, [], 4)).reset()
     env.close()

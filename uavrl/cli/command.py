@@ -192,8 +192,11 @@ def _refuse_shared_files(name: str) -> None:
     if not given.multirun:
         return
     told = {key.lstrip("+"): value for key, _, value in (each.partition("=") for each in given.overrides)}
-    for key, value in {**_FILES.get(name, {}), **told}.items():
-        if key in _FILES.get(name, {}) and value is not None and not re.search(r"[,$]|^(choice|range|glob)\(", value):
+    if "suite" in told:  # whose scenarios have files of their own, which several commands may share
+        return
+    for key, default in _FILES.get(name, {}).items():
+        value = told.get(key, default)
+        if value not in (None, "null") and not re.search(r"[,$]|^(choice|range|glob)\(", value):
             raise UavrlError(
                 f"Each job of the sweep would replace the {key}={value} of the one before: let it differ, such as "
                 f"{key}='{Path(value).with_name('${hydra:job.num}_' + Path(value).name)}'."

@@ -237,19 +237,19 @@ def _require_same_traffic(settings: CompareConfig, among: Mapping[str, str | Non
 def _recorded(file: Path, settings: CompareConfig) -> tuple[str, str | None]:
     """The outcomes that ``uavrl-evaluate`` wrote, in a file of one scenario or of the suite, and their traffic."""
     among: str | None = None
-    asked = _world(_changes(settings.row), sensor=_flaws())
+    asked = _world(_changes(settings.row), sensor=_flaws(settings.row))
     try:
         result = json.loads(file.read_text(encoding="utf-8"))
         result = result.get(settings.row, result)
         outcomes, seed = outcomes_of(result), result.get("seed", settings.seed)
         flown = {"env": result["env"]} if result.get("env") else {}
-        flown |= _world(result.get("overrides") or [], sensor=_flaws())
+        flown |= _world(result.get("overrides") or [], sensor=_flaws(settings.row))
         valleys = result.get("valleys")
         if result.get("planes") and "num_uavs" in result:
             among = _traffic_text(result["num_uavs"], result.get("processes", 1))
     except OSError as error:
         raise UavrlError(f"{file} cannot be read ({error.strerror}): give a file that uavrl-evaluate wrote.") from error
-    except (ValueError, AttributeError, KeyError, TypeError):
+    except (ValueError, AttributeError, KeyError, TypeError, yaml.YAMLError):
         outcomes, seed, flown, valleys = None, settings.seed, {}, None
     if not isinstance(outcomes, str) or not outcomes or set(outcomes) - set(LETTERS.values()):
         raise UavrlError(f"{file} holds no outcomes of {settings.row}: give a file that uavrl-evaluate wrote.")
@@ -269,11 +269,9 @@ def _recorded(file: Path, settings: CompareConfig) -> tuple[str, str | None]:
     return outcomes, among
 
 
-def _flaws() -> set[str]:
-    """The keys of the sensor that any scenario of the suite sets."""
-    from uavrl.evaluation.suite import scenarios
-
-    keys = {each.partition("=")[0] for row in scenarios("all").values() for each in row}
+def _flaws(row: str) -> set[str]:
+    """The keys of the sensor that a scenario of the suite sets; of the others each policy may have its own."""
+    keys = {each.partition("=")[0] for each in _changes(row)}
     return {key for key in keys if key.startswith("perception.lidar.")}
 
 

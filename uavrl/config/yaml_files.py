@@ -1,6 +1,5 @@
 """Where the yaml files lie, how Hydra composes them, and what a run is called."""
 
-import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,11 +9,12 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from uavrl.config.command_line import readable
 from uavrl.errors import UavrlError, extras
+from uavrl.locks import OneAtATime
 from uavrl_onboard.guards.command_line import join_guards
 from uavrl_onboard.vehicle import sight_for
 
 NONE = "none"  # the choice that leaves a part out
-_ONE_AT_A_TIME = threading.RLock()  # Hydra is one for the whole process
+_ONE_AT_A_TIME = OneAtATime()  # Hydra is one for the whole process
 
 
 def conf_dir() -> Path:

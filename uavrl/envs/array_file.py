@@ -4,13 +4,14 @@ NumPy reads the header of an array by :mod:`ast`, and CPython counts how deep th
 read at once may end in "SystemError: AST constructor recursion depth mismatch" (python/cpython#106905).
 """
 
-import threading
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 
-_ONE_AT_A_TIME = threading.Lock()
+from uavrl.locks import OneAtATime
+
+_ONE_AT_A_TIME = OneAtATime()
 
 
 def load_npy(file: Path | BinaryIO) -> np.ndarray:

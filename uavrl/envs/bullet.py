@@ -4,7 +4,6 @@ import ctypes
 import math
 import os
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
@@ -15,6 +14,7 @@ import numpy as np
 from uavrl.envs.mesh import cut_up, edge_lengths
 from uavrl.envs.quadrotor import Airframe
 from uavrl.errors import extras
+from uavrl.locks import OneAtATime
 from uavrl_onboard.mesh import Mesh
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ CLOSEST_DISTANCE_CAP = 5.0  # m
 SAMPLE_SPACING = 0.5  # m, at most, between samples of the surface
 SLACK = 0.02  # m: Bullet's distances are right within its collision margins
 
-_one_at_a_time = threading.RLock()  # the output of a process belongs to all its threads
+_one_at_a_time = OneAtATime()  # the output of a process belongs to all its threads
 _release = ctypes.pythonapi.Py_DecRef
 _release.argtypes, _release.restype = [ctypes.py_object], None
 

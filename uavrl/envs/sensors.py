@@ -426,7 +426,7 @@ def _read(name: str, path: Path) -> np.ndarray:
     if not np.isfinite(found).all():
         raise UavrlError(f"{told} hold NaN or infinite values: every ray needs a direction.")
     if numbers == 2:
-        if np.abs(found[..., 1]).max() > 90:
+        if np.abs(found[..., 1]).max() > 90 + 1e-6:
             raise UavrlError(
                 f"{told} hold elevations of up to {np.abs(found[..., 1]).max():g} degrees, and 90 is straight up: the "
                 f"columns are azimuth and elevation; of zenith angles write 90 - zenith."

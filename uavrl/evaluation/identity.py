@@ -12,19 +12,27 @@ from omegaconf import DictConfig, OmegaConf
 
 from uavrl.config import EvaluateConfig
 from uavrl.envs.sensors import sensor_settings
-from uavrl.evaluation.policies import exported_folder, file_of_policy, policy_folder
+from uavrl.evaluation.policies import file_of_policy, folder_of_policy, policy_folder
 from uavrl.runs.checkpoint import checkpoint_path
+from uavrl.runs.directions import DIRECTIONS
 from uavrl.runs.names import CONFIG
 from uavrl.runs.provenance import versions
 from uavrl.runs.weights import POLICY
 from uavrl_onboard.policy.contract import CONTRACT, NETWORK
 
-_PLACES = ("run", "output", "progress", "suite", "processes", "threads", "device", "checkpoint", "hydra")
+_OF_A_POLICY = (POLICY.json, POLICY.safetensors, CONFIG, CONTRACT, NETWORK, *DIRECTIONS)
+_PLACES = (
+    *("run", "output", "progress", "suite", "processes", "threads", "device", "checkpoint", "hydra"),
+    *("packages", "matmul", "vecnormalize"),
+)
 """Keys that change no result, or name a file whose content counts instead."""
 
 
 def inputs_digest(config: DictConfig, settings: EvaluateConfig) -> str:
-    """A hash of all that the result of an evaluation depends on, but for the machine and the libraries.
+    """A hash of what the result of an evaluation depends on.
+
+    The code of parts of one's own is not in it, but for the file of a policy's class, nor are the machine and the
+    libraries.
 
     Args:
         config: of ``conf/evaluate.yaml``, composed.
@@ -33,10 +41,11 @@ def inputs_digest(config: DictConfig, settings: EvaluateConfig) -> str:
     plain = OmegaConf.to_container(config, resolve=False)
     assert isinstance(plain, dict)
     told = {str(key): value for key, value in plain.items() if key not in _PLACES}
-    if exported_folder(str(settings.policy)) is not None:
+    folder = None if settings.policy is None else folder_of_policy(settings.policy)
+    if folder is not None:
         del told["policy"]
     parts: list[Any] = [versions()["uavrl"], told, _lidar(told)]
-    parts += [_digest(path) for path in _files(settings)]
+    parts += [_digest(path) for path in _files(settings, folder)]
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
 
@@ -49,16 +58,18 @@ def _lidar(told: dict[str, Any]) -> Any:
     return {**settings, "directions": _digest(Path(settings["directions"]))}
 
 
-def _files(settings: EvaluateConfig) -> list[Path]:
-    """The files that the policy comes from."""
+def _files(settings: EvaluateConfig, exported: Path | None) -> list[Path]:
+    """The files that the policy comes from; ``exported`` is the folder that ``policy`` names."""
+    if exported is not None:
+        return [exported / name for name in _OF_A_POLICY]
+    folder = policy_folder(settings.run, settings.policy)
+    if folder is not None:
+        if settings.checkpoint is None and POLICY.is_in(folder):
+            return [folder / name for name in _OF_A_POLICY]
+        return [folder / CONFIG, checkpoint_path(folder, settings.checkpoint)]
+    file = file_of_policy(str(settings.policy), settings.packages)
     extra = [] if settings.vecnormalize is None else [Path(settings.vecnormalize)]
-    folder = policy_folder(settings.run, settings.policy) or exported_folder(str(settings.policy))
-    if folder is None:
-        file = file_of_policy(str(settings.policy), settings.packages)
-        return extra if file is None else [file, *extra]
-    if settings.checkpoint is None and POLICY.is_in(folder):
-        return [folder / name for name in (POLICY.json, POLICY.safetensors, CONFIG, CONTRACT, NETWORK)]
-    return [folder / CONFIG, checkpoint_path(folder, settings.checkpoint)]
+    return extra if file is None else [file, *extra]
 
 
 def _digest(path: Path) -> str | None:

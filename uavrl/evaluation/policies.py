@@ -157,7 +157,7 @@ def named_policy(
             raise UavrlError(f"Opening {name} runs whatever program it holds: {trust}.")
         return as_policy(StableBaselinesPolicy(name, vecnormalize))
     own: dict[str, Any] = {}
-    if name not in BASELINES and (folder := exported_folder(name)) is not None:
+    if (folder := folder_of_policy(name)) is not None:
         target, own = EXPORTED, {"folder": folder}
     context = {key: told[key] for key in CONTEXT["policy"]}
     seen = {key: value for key, value in told.items() if key not in context} if name in BASELINES else own
@@ -171,6 +171,12 @@ def unknown_policy(name: str, names: Sequence[str], own: str) -> UavrlError:
     """Return an error with the names that a policy may have, and how to name your own."""
     near = did_you_mean(name, names, ": ", own)
     return UavrlError(f"policy must be one of {', '.join(names)}, got {name!r}{near}")
+
+
+def folder_of_policy(name: str) -> Path | None:
+    """Return the exported folder that ``policy=NAME`` means; None for a packaged policy, a baseline, or a ``.zip``."""
+    known = name in BASELINES or name in packaged_policies() or name.endswith(".zip")
+    return None if known else exported_folder(name)
 
 
 def exported_folder(name: str) -> Path | None:

@@ -61,7 +61,8 @@ def rollout(env: EnvBase, policy: Acts, state: TensorDictBase) -> Iterator[Tenso
     """
     while True:
         with deterministic():
-            stepped = env.step(policy(state))
+            acted = policy(state)
+        stepped = env.step(acted)
         yield stepped
         state = env.maybe_reset(step_mdp(stepped))
 

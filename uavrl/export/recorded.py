@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -144,8 +145,8 @@ def load_data(
         torch.Size([512, 237])
     """
     place = Path(folder).expanduser()
-    whole = batch_size is None or (isinstance(batch_size, int) and not isinstance(batch_size, bool))
-    if not whole or (batch_size is not None and batch_size < 1):
+    whole = isinstance(batch_size, Integral) and not isinstance(batch_size, bool) and batch_size >= 1
+    if batch_size is not None and not whole:
         raise UavrlError(f"batch_size must be a whole number of transitions, 1 or more, or None, got {batch_size!r}.")
     storage: Storage
     if (place / DATA).is_file():

@@ -111,16 +111,12 @@ class Sitl:
         self._max_steps, self._patience, self._linger, self._pilot = max_steps, patience, linger, pilot_takes_over
         self.autopilot = SimulatedAutopilot(messages, firmware, armed=armed)
         self._telemetry = Telemetry(messages, self.autopilot)
-        self._lidar: LidarOutput
-        if lidar.startswith(ROS2):
-            if self._faults.product is not None:
-                raise UavrlError(
-                    "faults.product is a byte of packets, and the clouds of ROS 2 have none: leave it out."
-                )
-            self._lidar = CloudOutput(lidar, episode.last_firing)
-        else:
-            self._lidar = PacketOutput(lidar)
-        self._ports = SitlPorts(messages, autopilot, self.autopilot.system, self._faults.signing_key_file)
+        self._lidar = self._output(lidar)
+        try:
+            self._ports = SitlPorts(messages, autopilot, self.autopilot.system, self._faults.signing_key_file)
+        except UavrlError:
+            self._lidar.close()
+            raise
         self._packets: deque[tuple[float, Message]] = deque()  # with their times
         self._lateness: list[float] = []
         self._wanted: float | None = None  # when the first set-point was obeyed
@@ -128,6 +124,14 @@ class Sitl:
         self._flown = 0.0  # s of the vehicle's clock
         self._lost, self._begun = 0.0, 0.0
         self.result = Result(modes=self.autopilot.changes)
+
+    def _output(self, address: str) -> LidarOutput:
+        """What sends the scans to an address."""
+        if not address.startswith(ROS2):
+            return PacketOutput(address)
+        if self._faults.product is not None:
+            raise UavrlError("faults.product is a byte of packets, and the clouds of ROS 2 have none: leave it out.")
+        return CloudOutput(address, self._episode.last_firing)
 
     def close(self) -> None:
         """Gives its ports back."""

@@ -1,5 +1,6 @@
 """The trainer of a configuration, with all its parts."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -65,6 +66,7 @@ from uavrl_onboard.guards.settings import guard_settings
 from uavrl_onboard.sentences import below, require
 
 VALIDATED_TOGETHER = 10  # vehicles of a validation
+CLOUD = "point_cloud"  # the key of whole scans
 
 
 def build_trainer(settings: TrainConfig, config: DictConfig, run_dir: Path) -> EpisodeTrainer:
@@ -268,9 +270,6 @@ def prepare_valleys(settings: TrainConfig) -> None:
         map_places(world)
 
 
-CLOUD = "point_cloud"
-
-
 def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     """The environment of a run; a scripted controller acts in it first where ``demonstrator`` names one."""
     parts, packages = (settings.env, with_stride(settings), settings.reward), settings.packages
@@ -288,6 +287,9 @@ def make_training_env(settings: TrainConfig, *, seed: int) -> TransformedEnv:
     reads_cloud = CLOUD in demonstrator.in_keys
     carried |= {"mark_resets": IS_INIT in demonstrator.in_keys, "keep_cloud": reads_cloud}
     env = cast(DemonstratorEnv, make_env(*parts, **carried, kind=DemonstratorEnv))
+    several = math.prod(env.batch_size) > 1 and getattr(demonstrator, "one_vehicle", False)
+    alone = "one that has no memory: a planner remembers scans, and demonstrates with env.num_uavs=1 alone"
+    require(not several, "demonstrator", alone, type(demonstrator).__name__)
     require_keys(env, [(demonstrator.in_keys, ())], "demonstrator")
     sizes = network_sizes(env)
     env.append_transform(Demonstrator(demonstrator, demonstrator.in_keys, sizes.actions, sizes.limit))

@@ -44,9 +44,11 @@ class Demonstrator(Shown, Transform):
         try:
             acted = self.demonstrator(next_tensordict.exclude("action"))
         except KeyError as error:
+            if "not found in TensorDict" not in str(error):  # it may have tables of its own
+                raise
             raise UavrlError(
-                f"The demonstrator {self._name()} looks for {error}, which it was not given: name in its in_keys what "
-                "it reads."
+                f"The demonstrator {self._name()} reads an entry that its in_keys do not name ({error.args[0]}): add "
+                "it to them."
             ) from error
         action = acted.get("action", None) if isinstance(acted, TensorDictBase) else None
         self._require_action(action, (*next_tensordict.batch_size, self.actions))

@@ -53,8 +53,8 @@ class HullConfig:
         radius: radius of the hull, in m; null: as in the policy's contract
         height: height of the hull, in m; null: as in the policy's contract
         sensor: height of the LiDAR above the hull's middle, on its axis, in m; null: as in the policy's contract
-        elevations: [lowest,highest] ray of the LiDAR in degrees, between which evasion looks for moving objects; null:
-            as in the policy's contract
+        elevations: [lowest,highest] ray of the LiDAR in degrees, between which evasion looks for moving objects, and
+            which its returns must cover, [0,0] for a 2-D LiDAR; null: as in the policy's contract
         repeats: whether each scan of the LiDAR has the same rays, false for a Livox; null: as in the policy's contract
     """
 

@@ -109,10 +109,10 @@ class ScanSource:
         return told + [sentence for sentence in odd if sentence is not None]
 
     def _advancing(self, scans: Iterator[Scan]) -> Iterator[Scan]:
-        """The scans, one after the other, of a capture whose program has written no times."""
-        before, given, self._standing = math.nan, math.nan, 0
+        """The scans, one after the other, of a capture whose program has written no times, or whole seconds."""
+        before, given, self._standing = -math.inf, -math.inf, 0
         for scan in scans:
-            stands = scan.stamp == before
+            stands = before <= scan.stamp <= given
             self._standing += stands
             before, given = scan.stamp, given + _TURN if stands else scan.stamp
             yield replace(scan, stamp=given)
