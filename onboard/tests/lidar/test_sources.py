@@ -202,11 +202,8 @@ def test_a_capture_without_times_has_scans_a_tenth_of_a_second_apart(tmp_path: P
 
 
 def test_a_capture_in_whole_seconds_goes_forward(tmp_path: Path) -> None:
-    packets = [
-        (number // 20, packet)
-        for number in range(60)
-        for packet in encode_scan(3.0 * firing_directions(), 0.05 * number)
-    ]
-    write_pcap(tmp_path / "whole.pcap", [(float(second), packet) for second, packet in packets])
+    turns = [encode_scan(3.0 * firing_directions(), 0.1 * number) for number in range(60)]
+    packets = [(float(number // 20), packet) for number, turn in enumerate(turns) for packet in turn]
+    write_pcap(tmp_path / "whole.pcap", packets)
     stamps = [scan.stamp for scan in ScanSource(tmp_path / "whole.pcap", "VLP16")]
     assert len(stamps) == 60 and (np.diff(stamps) > 0.0).all()
