@@ -103,6 +103,7 @@ CURVES = (  # what is drawn, in this order
     ("ABR, angles / 360", "C9", THESIS, "Eq. 3.6, ABR, /360"),
     ("TR, folded", "C5", OLDER, "TR"),
     ("ABR, folded", "C4", THESIS, "Eq. 3.6 with its absolute value, ABR, folded"),
+    ("ABR⁺, folded", "C6", THESIS, FIGURE_4_4),
     ("ABR and bonus, folded", "C2", OLDER, "default reward, ABR"),
     ("bonus, folded", "0.3", FULL, "default"),
 )
