@@ -63,6 +63,6 @@ def test_a_task_without_a_companion(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert f"Task 2 in valley {task['valley']}: from (" in out and task["valley"] in (3, 4)
     goal = ",".join(f"{each:g}" for each in task["goal"])
     assert f"goal=[{goal}], {task['distance_at_start']:.1f} m." in out
-    assert "the vehicle is in AUTO.LOITER; set-points are obeyed in OFFBOARD." in err  # and perhaps that it is slow here
+    assert "the vehicle is in AUTO.LOITER; set-points are obeyed in OFFBOARD." in err  # and perhaps its slowness
     assert (task["outcome"], task["setpoints"], task["start"][2]) == ("stopped", 0, 3.5)
     assert abs(task["goal"][0]) <= 7.0 and abs(task["goal"][1]) <= 6.0 and task["least_distance"] is None
