@@ -199,8 +199,8 @@ class Planner(PolicyModule):
         self.vehicle = settings("airframe", Airframe, airframe).vehicle(flight_level, max_speed)
         self.memory = ScanMemory(sight, seconds, above=self.vehicle.lidar_above)
 
+    # It demonstrates for one vehicle only: at the end of an episode it would be asked twice for the others.
     one_vehicle = True
-    """It demonstrates for one vehicle alone: at the end of an episode it would be asked twice for the others."""
 
     def steer(self, seen: Surroundings) -> tuple[Tensor, Tensor]:
         """The velocities to fly at, ``[N, 3]`` m/s, and the yaw rates ``[N, 1]`` in rad/s."""
