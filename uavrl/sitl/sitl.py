@@ -65,9 +65,8 @@ class Sitl:
 
     In real time the vehicle flies in pieces of 12.5 ms: a set-point acts from the piece after its arrival on. Each
     LiDAR packet, or cloud, shows what is around the vehicle when its rays are fired, and is sent when the last one has
-    been. With
-    ``speed="lockstep"`` the simulator stands still until a set-point is obeyed, which then acts for a step of 0.1 s;
-    after it comes a whole scan, as the environment gives it.
+    been. With ``speed="lockstep"`` the simulator stands still until a set-point is obeyed, which then acts for a step
+    of 0.1 s; after it comes a whole scan, as the environment gives it.
 
     Args:
         episode: the task, which has begun.

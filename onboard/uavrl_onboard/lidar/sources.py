@@ -22,6 +22,7 @@ from uavrl_onboard.pluralize import pluralize
 _RECORDINGS = (b"\x89MCAP0\r\n", b"SQLite format 3\0", bags.ROSBAG1)
 _OSF = b"OSF$"  # from the ninth byte on, of a recording by ouster-sdk
 _TURN = 0.1  # s of most sensors
+_LEAST = 0.001  # s from one scan to the next, at least
 _BATCH = 1000  # packets that are read from a file at once
 KINDS = (
     "udp://:PORT, a capture (.pcap), packets alone (.bin, 1,206 bytes each), a rosbag of ROS 1 (.bag), a rosbag of "
@@ -112,9 +113,14 @@ class ScanSource:
         """The scans, one after the other, of a capture whose program has written no times, or whole seconds."""
         before, given, self._standing = -math.inf, -math.inf, 0
         for scan in scans:
-            stands = before <= scan.stamp <= given
-            self._standing += stands
-            before, given = scan.stamp, given + _TURN if stands else scan.stamp
+            if scan.stamp == before:
+                self._standing += 1
+                given += _TURN
+            elif before < scan.stamp <= given:  # the capture's clock catches up
+                given += _LEAST
+            else:
+                given = scan.stamp
+            before = scan.stamp
             yield replace(scan, stamp=given)
 
     def _assembled(self, assembler: Assembler, senders: OneSender) -> Iterator[Scan]:
