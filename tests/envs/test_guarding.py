@@ -48,7 +48,9 @@ def test_a_camera_that_looks_ahead_is_told_to_fly_without_evasion(caplog: pytest
     with pytest.raises(UavrlError, match=r"reaches 10 m: write guards=\[map,shield\] guards\.map\.sight=10, raise"):
         guarded(camera, guard_settings("all"))
     for told, end in zip(caplog.messages, ("]).", "] guards.map.sight=10)."), strict=True):
-        assert told.startswith("The LiDAR d435 does not look all around, so static obstacles seem to move")
+        assert told.startswith(
+            "The LiDAR d435 does not see the same elevations on all sides, so static obstacles seem to move"
+        )
         assert told.endswith("leave evasion out (guards=[map,shield" + end)
 
 

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from tests.helpers.valleys import SMALL
 from uavrl.envs import NavigationEnv, Randomization
@@ -83,6 +84,17 @@ def test_a_turn_of_any_lidar_in_pieces_is_a_scan_where_nothing_moves(make: Make,
         np.testing.assert_allclose(episode.points, whole, atol=1e-3)
         assert np.isfinite(whole).any()
     assert episode.last_firing == times[-1]
+
+
+def test_its_points_are_in_the_axes_of_a_sensor_that_is_mounted_otherwise(make: Make) -> None:
+    mount = (180.0, 20.0, 90.0)
+    env = make(1, lidar=LidarConfig(sensor={"like": "xt32", "mount": list(mount)}, range_noise=0.0))
+    episode, turn = LiveEpisode(env, 5), Rotation.from_euler("xyz", mount, degrees=True)
+    for _ in range(2):  # of the reset, then of a turn in pieces
+        np.testing.assert_allclose(turn.apply(episode.points), env.look(slice(None), 5)[0], atol=1e-3)
+        for _ in range(PIECES):
+            episode.piece(np.zeros(3), 0.0)
+    assert np.isfinite(episode.points).any()
 
 
 def test_a_pattern_that_changes_does_so_from_turn_to_turn(make: Make) -> None:

@@ -25,6 +25,7 @@ from uavrl.sitl.sitl import AUTOPILOT, LIDAR, ROS2
 from uavrl_onboard.autopilot.mavlink import mavlink
 from uavrl_onboard.cli.process import terminable
 from uavrl_onboard.files import replacing, writable
+from uavrl_onboard.lidar.mount import UPRIGHT
 from uavrl_onboard.lidar.udp import address
 from uavrl_onboard.ranges import Folder, NonNegative, Positive, Seed, Text, Whole
 from uavrl_onboard.ros2.dds import topic_of
@@ -75,7 +76,8 @@ class SitlConfig:
         require("world" in self.env, "env", "a valley", self.choices.get("env"))
         sensor = "one that reads a LiDAR, such as truncated_icosahedron: its perception.lidar is the vehicle's sensor"
         require(self.perception.get("_target_") is not None, "perception", sensor, self.choices.get("perception"))
-        if not by_ros and (device := self.perception.lidar.device) != SENSORS["vlp16"]:
+        device = self.perception.lidar.device
+        if not by_ros and replace(device, name="vlp16", mount=UPRIGHT) != SENSORS["vlp16"]:
             raise UavrlError(
                 f"By UDP, uavrl-sitl sends the data packets of a Velodyne VLP-16, and the LiDAR {device.name} has "
                 "none: publish its point clouds with lidar=ros2:///points, which uavrl-fly reads from the same address."
@@ -159,7 +161,9 @@ def _introduce(settings: SitlConfig, told: dict[str, Any]) -> None:
     if (device := settings.perception.lidar.device) != SENSORS["vlp16"]:
         low, high = (f"{round(each, 1):g}" for each in device.field_of_view[2:])
         repeats = "" if device.repeats else " hull.repeats=false"
-        print(f"For uavrl-fly: lidar={settings.lidar} hull.elevations=[{low},{high}]{repeats}")
+        mount = "" if device.mount == UPRIGHT else f" mount=[{','.join(f'{each:g}' for each in device.mount)}]"
+        reads = f"lidar={settings.lidar}" if settings.lidar.startswith(ROS2) else "model=VLP16"
+        print(f"For uavrl-fly: {reads}{mount} hull.elevations=[{low},{high}]{repeats}")
     sys.stdout.flush()
 
 

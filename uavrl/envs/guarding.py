@@ -4,12 +4,17 @@ import logging
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from uavrl.envs.lidar import LidarConfig
 from uavrl.envs.navigation import NavigationEnv
 from uavrl.envs.sensors import LidarSensor
 from uavrl.errors import UavrlError
 from uavrl.transforms.guarded import Guarded
 from uavrl_onboard.guards.settings import GuardSettings
+from uavrl_onboard.lidar.mount import TILTED
+
+_SECTORS = 12  # of the horizon, whose lowest and highest rays are compared
 
 log = logging.getLogger(__name__)
 
@@ -26,14 +31,28 @@ def far_seeing(lidar: LidarConfig, *sights: float | None) -> LidarConfig:
 
 
 def looks_around(device: LidarSensor) -> bool:
-    """Return whether a sensor looks all around, as the detection of what moves needs it.
+    """Return whether a sensor sees the same elevations on all sides, as the detection of what moves needs it.
 
     Examples:
+        >>> from dataclasses import replace
         >>> from uavrl.envs.sensors import SENSORS
         >>> looks_around(SENSORS["rplidar"]), looks_around(SENSORS["d435"])
         (True, False)
+        >>> looks_around(replace(SENSORS["mid360"], mount=(180, 0, 0)))  # upside down
+        True
+        >>> looks_around(replace(SENSORS["mid360"], mount=(0, 20, 0)))  # tilted forward
+        False
     """
-    return device.field_of_view[:2] == (-180.0, 180.0)
+    if device.field_of_view[:2] != (-180.0, 180.0):
+        return False
+    x, y, z = device.rays.directions.reshape(-1, 3).astype(float).T
+    sector = np.floor(np.arctan2(y, x) / (math.tau / _SECTORS)).astype(int) % _SECTORS
+    elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    lowest, highest = np.full(_SECTORS, np.inf), np.full(_SECTORS, -np.inf)
+    np.minimum.at(lowest, sector, elevation)
+    np.maximum.at(highest, sector, elevation)
+    seen = highest >= lowest
+    return bool(max(np.ptp(lowest[seen]), np.ptp(highest[seen])) <= 2 * TILTED)
 
 
 def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
@@ -62,8 +81,8 @@ def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
         others = [name for name in guards.names if name != "evasion"]
         lower = [f"guards=[{','.join(others)}]", *(each for each in lower if "evasion" not in each)]
         log.warning(
-            "The LiDAR %s does not look all around, so static obstacles seem to move when it turns: leave evasion out "
-            "(%s).",
+            "The LiDAR %s does not see the same elevations on all sides, so static obstacles seem to move when it "
+            "turns: leave evasion out (%s).",
             device.name,
             " ".join(lower),
         )

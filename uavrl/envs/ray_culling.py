@@ -43,7 +43,7 @@ class RayCuller:
         self._window = np.array([-window, window], np.float32)
         self._reach = (max_range + self._radii) ** 2
         self._places: list[np.ndarray] = []  # of each scan of the pattern, the cell of each ray
-        if sensor.pattern == "vlp16" and sensor.stride == 1:
+        if sensor.fires_as_vlp16 and sensor.stride == 1:
             elevations = np.radians(LASER_ELEVATIONS)
             self._bins, self._width = AZIMUTH_STEPS // self._BIN, AZIMUTH_STEP * self._BIN
             self._lowest, self._highest = float(elevations.min()), float(elevations.max())

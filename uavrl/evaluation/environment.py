@@ -129,8 +129,8 @@ def with_sight(
         )
     if motion is not None and not looks_around(lidar.device):
         log.warning(
-            "The LiDAR %s does not look all around, so static obstacles seem to move when it turns: choose another "
-            "env.lidar for perception.motion.",
+            "The LiDAR %s does not see the same elevations on all sides, so static obstacles seem to move when it "
+            "turns: choose another env.lidar for perception.motion.",
             lidar.device.name,
         )
     return perception if scanning.far_range == lidar.far_range else {**perception, "lidar": scanning}

@@ -12,6 +12,7 @@ from uavrl.envs.controller import VELOCITY_GAIN
 from uavrl.envs.navigation import CONTROL_RATE, PHYSICS_RATE, NavigationEnv
 from uavrl.envs.simulation import TRACKING_PERIOD
 from uavrl_onboard.geometry import yaw_rotation
+from uavrl_onboard.lidar.mount import UPRIGHT, mount_rotation, turned
 from uavrl_onboard.lidar.packets import CHANNELS
 
 PIECE = TRACKING_PERIOD / PHYSICS_RATE  # s: 12.5 ms
@@ -54,7 +55,9 @@ class LiveEpisode:
         if env.num_uavs != 1:
             raise ValueError(f"An episode in real time has one vehicle, got {env.num_uavs}: pass num_uavs=1.")
         self._env, self._state = env, env.reset(task=task)
-        self.points: np.ndarray = self._state["point_cloud"][0].numpy()
+        mount = env.lidar_sensor.mount
+        self._to_sensor = None if mount == UPRIGHT else mount_rotation(mount).T
+        self.points: np.ndarray = self._of_sensor(self._state["point_cloud"][0].numpy())
         self.outcome: str | None = None
         self._pieces, self._task = 0, task
         times, sensor = env.lidar_sensor.rays.times, env.lidar_sensor
@@ -93,7 +96,7 @@ class LiveEpisode:
 
         action = torch.as_tensor(command, dtype=torch.float32)[None]
         self._state = self._env.step(self._state.set("action", action))["next"]
-        self.points = self._state["point_cloud"][0].numpy()
+        self.points = self._of_sensor(self._state["point_cloud"][0].numpy())
         self._conclude(*(bool(self._state[name].any()) for name in ("collided", "arrived")))
 
     def piece(self, velocity: np.ndarray, yaw_rate: float) -> slice:
@@ -136,5 +139,9 @@ class LiveEpisode:
         if now == 0:
             self.points = np.full_like(self.points, np.nan)
         if rays.start < rays.stop:
-            self.points[rays] = self._env.look(rays, self._task + turn)[0, rays]
+            self.points[rays] = self._of_sensor(self._env.look(rays, self._task + turn)[0, rays])
         return rays
+
+    def _of_sensor(self, points: np.ndarray) -> np.ndarray:
+        """Points ``[P, 3]`` in the axes of the sensor as it is mounted, which are the vehicle's in the simulator."""
+        return points if self._to_sensor is None else turned(points, self._to_sensor)

@@ -35,7 +35,7 @@ class ThroughTime(Shown, Transform):
         """How the rays of the simulated LiDAR lie; None for a VLP-16, and in an environment that does not tell."""
         base = getattr(self.container, "base_env", None)
         device = getattr(getattr(base, "lidar_config", None), "device", None)
-        if device is None or device.pattern == "vlp16":
+        if device is None or device.fires_as_vlp16:
             return None
         lowest, highest = device.field_of_view[2:]
         return ScanPattern(lowest, highest, device.repeats)

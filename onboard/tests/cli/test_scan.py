@@ -53,8 +53,29 @@ def test_points_on_the_vehicle_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("mount", "open_side"),
+    [
+        ("[0,0,0]", "behind right"),
+        ("[0,0,180]", "ahead left"),
+        ("[180,0,0]", "behind left"),
+        ("[0,0,90]", "ahead right"),
+    ],
+)
+def test_directions_are_the_vehicles_of_a_lidar_that_is_mounted_otherwise(
+    mount: str, open_side: str, tmp_path: Path
+) -> None:
+    facts = tmp_path / "facts.json"
+    arguments = (f"source={RECORDED}", "model=VLP16", "output=null", f"json={facts}", f"mount={mount}")
+    assert in_process(scan.main, *arguments) == 0
+    nearest = json.loads(facts.read_text())["nearest_by_direction"]
+    assert [side for side, near in nearest.items() if near > 1.0] == [open_side]
+
+
+@pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        ([f"source={RECORDED}", "model=VLP16", "mount=[0,0]"], "mount must be roll, pitch and yaw in degrees, for"),
+        ([f"source={RECORDED}", "model=VLP16", "mount=[3.1416,0,0]"], "3.1416 looks like radians"),
         (["model=VLP16"], "source must be a file, a rosbag's folder or udp://:PORT, got None"),
         (["source=none.bin", "model=VLP16"], "There is no none.bin: give udp://:PORT, a capture (.pcap), "),
         ([f"source={RECORDED}"], "model must be one of VLP16"),

@@ -25,6 +25,7 @@ from uavrl_onboard.flight.summary import FlightSummary
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
 from uavrl_onboard.guards.shield import Shield
+from uavrl_onboard.lidar.mount import mount_rotation
 from uavrl_onboard.lidar.packets import encode_scan
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.udp_scans import UdpScans
@@ -217,6 +218,16 @@ def test_points_on_the_vehicle_are_not_seen() -> None:
     cycle = rig.scan([(0.2, 0.0, -0.3), (2.0, 0.0, 0.0)])
     assert cycle.scan is not None and cycle.scan.points.tolist() == [[2.0, 0.0, 0.0]]
     assert rig.policy.seen[-1][0].tolist() == [[2.0, 0.0, 0.0]]
+
+
+def test_the_points_of_a_lidar_that_is_mounted_otherwise_are_turned_first() -> None:
+    box = np.array([-0.4, -0.4, -0.4]), np.array([0.4, 0.4, 0.1])
+    rig = Rig(rotation=mount_rotation((180.0, 0.0, 90.0)), box=box)
+    cycle = rig.scan([(0.2, 0.0, 0.3), (0.2, 0.0, -0.3), (2.0, 1.0, 0.5)])  # the first one is on the vehicle
+    expected = [[0.0, 0.2, 0.3], [1.0, 2.0, -0.5]]
+    assert cycle.scan is not None
+    np.testing.assert_allclose(cycle.scan.points, expected, atol=1e-6)
+    np.testing.assert_allclose(rig.policy.seen[-1][0], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("rate", "acts"), [(20.0, 10.0), (10.0, 10.0), (9.0, 9.0)])

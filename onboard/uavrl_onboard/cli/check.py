@@ -30,7 +30,7 @@ ABOUT = About(
     "uavrl-check",
     "Checks before take-off that everything is ready for a flight. It sends nothing that could move the vehicle.",
     ["policy=FOLDER model=VLP16 goal=[20,5,2.5]", "policy=FOLDER model=VLP16 goal=[20,5,2.5] json=FILE"],
-    "policy goal lidar model metadata vehicle autopilot system signing_key_file seconds log json",
+    "policy goal lidar model metadata mount vehicle autopilot system signing_key_file seconds log json",
 )
 
 
@@ -87,7 +87,8 @@ def _observed(settings: FlyConfig, policy: Policy, link: Any, feed: Any) -> Evid
     )
     listener, layer = Listener(link), SafetyLayer(everywhere(settings.safety))
     moves = settings.autopilot is not None
-    more: dict[str, Any] = {"radius": settings.radius, "box": settings.box, "guards": guards, "moves": moves}
+    more: dict[str, Any] = {"radius": settings.radius, "guards": guards, "moves": moves}
+    more |= {"rotation": settings.rotation, "box": settings.box}
     flight = Flight(policy, settings.goal, listener, layer, **more)
     remarks = {"stamped": stamped, "remarks": feed.remarks}
     health = FlightHealth(feed.trouble, 1.0 / flight.period, settings.safety.pose_age, **remarks)

@@ -34,6 +34,7 @@ from uavrl_onboard.flight.safety import SafetyLayer
 from uavrl_onboard.flight.summary import FlightSummary
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
+from uavrl_onboard.lidar.mount import TILTED, mount_tilt
 from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.lidar.udp_scans import UdpScans
 from uavrl_onboard.policy.policy import Policy
@@ -53,8 +54,8 @@ class HullConfig:
         radius: radius of the hull, in m; null: as in the policy's contract
         height: height of the hull, in m; null: as in the policy's contract
         sensor: height of the LiDAR above the hull's middle, on its axis, in m; null: as in the policy's contract
-        elevations: [lowest,highest] ray of the LiDAR in degrees, between which evasion looks for moving objects, and
-            which its returns must cover, [0,0] for a 2-D LiDAR; null: as in the policy's contract
+        elevations: [lowest,highest] ray of the LiDAR as it is mounted, in degrees, between which evasion looks for
+            moving objects, and which its returns must cover, [0,0] for a 2-D LiDAR; null: as in the policy's contract
         repeats: whether each scan of the LiDAR has the same rays, false for a Livox; null: as in the policy's contract
     """
 
@@ -150,7 +151,7 @@ ABOUT = About(
         "policy=FOLDER model=VLP16 goal=[20,5,2.5] set_mode=true",
         "policy=FOLDER model=VLP16 goal=[20,0,2.5] autopilot=null",
     ],
-    "policy goal lidar model metadata vehicle autopilot set_mode arm standing radius hold seconds log json",
+    "policy goal lidar model metadata mount vehicle autopilot set_mode arm standing radius hold seconds log json",
 )
 
 
@@ -174,7 +175,8 @@ def main(settings: FlyConfig) -> None:
         link = opened.enter_context(closing(open_link(settings)))
         guards = make_guards(settings, policy)
         layer, moves = SafetyLayer(settings.safety), settings.autopilot is not None
-        more: dict[str, Any] = {"radius": settings.radius, "box": settings.box, "guards": guards, "moves": moves}
+        more: dict[str, Any] = {"radius": settings.radius, "guards": guards, "moves": moves}
+        more |= {"rotation": settings.rotation, "box": settings.box}
         flight = Flight(policy, settings.goal, link, layer, **more)
         print(f"Guards: {', '.join(guards.settings.names) or 'none'}.", flush=True)
         log = _log(settings, policy, guards)
@@ -216,7 +218,7 @@ def _log(settings: FlyConfig, policy: Policy, guards: Guards) -> FlightLog | Non
         return None
     assert settings.goal is not None
     about = {"lidar": settings.lidar, "autopilot": str(settings.autopilot)}
-    about["guards"] = json.dumps(guards.settings.plain())
+    about |= {"guards": json.dumps(guards.settings.plain()), "mount": json.dumps(settings.mount)}
     return FlightLog(
         settings.log, policy.contract, settings.goal, radius=settings.radius, live=settings.is_live, about=about
     )
@@ -233,6 +235,14 @@ def _told(write: Callable[..., None], *arguments: FlightCycle) -> None:
 def make_guards(settings: FlyConfig, policy: Policy) -> Guards:
     """Return the guards of a flight: those of the command line, or else of the policy's contract."""
     chosen = guard_settings(settings.guards, policy.contract.guard_settings)
+    if (tilt := mount_tilt(settings.mount)) > TILTED:
+        told = f"mount={list(settings.mount)} tilts the LiDAR by {tilt:.0f} degrees, so that what stands still behind"
+        why = "its field of view would seem to move when the vehicle turns"
+        if policy.contract.motion is not None:
+            raise UavrlError(f"{told} {why}: this policy looks for moving objects, so mount the LiDAR level.")
+        if chosen.evasion is not None:
+            others = ",".join(name for name in chosen.names if name != "evasion")
+            raise UavrlError(f"{told} {why}: leave evasion out (guards={f'[{others}]' if others else 'none'}).")
     return Guards(chosen, 1, make_vehicle(settings, policy))
 
 

@@ -18,6 +18,7 @@ from uavrl_onboard.cli.lidar_keys import LidarKeys
 from uavrl_onboard.errors import Stopped, UavrlError
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.lidar.coverage import Coverage
+from uavrl_onboard.lidar.mount import turned
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
 from uavrl_onboard.lidar.summary import ScanSummary
@@ -71,7 +72,7 @@ ABOUT = About(
         "source=udp://:7502 metadata=FILE",
         "source=ROSBAG topic=/points",
     ],
-    "source model metadata topic seconds vehicle reduction statistic radius output json",
+    "source model metadata topic seconds mount vehicle reduction statistic radius output json",
 )
 
 
@@ -118,9 +119,14 @@ def _write(summary: ScanSummary, source: ScanSource, settings: ScanConfig, files
 
 
 def _shown(source: ScanSource, settings: ScanConfig, coverage: Coverage) -> Iterator[Scan]:
-    """The scans without the vehicle; tells what is odd about them, and of a sensor a line each second."""
+    """The scans in the vehicle's axes, without the vehicle.
+
+    Tells what is odd about them, and of a sensor a line each second.
+    """
     told, doubted = -np.inf, set[str]()
     for scan in source:
+        if settings.rotation is not None:
+            scan = replace(scan, points=turned(scan.points, settings.rotation))
         doubt = coverage.add(scan.points)
         if doubt is not None and doubt.kind not in doubted:
             doubted.add(doubt.kind)

@@ -24,6 +24,7 @@ from uavrl_onboard.geometry import Columns
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.lidar.coverage import Coverage, Doubt
+from uavrl_onboard.lidar.mount import turned
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import without_vehicle
 
@@ -58,7 +59,9 @@ class Flight:
         link: the way to the vehicle.
         layer: the safety layer.
         radius: the vehicle has arrived at this horizontal distance from the goal, m.
-        box: the corners of a box around the vehicle, from the sensor in m, whose points are left out.
+        rotation: from the sensor's axes to the vehicle's, ``[3, 3]``; None where they are the same.
+        box: the corners of a box around the vehicle, from the sensor in m along the vehicle's axes, whose points are
+            left out.
         guards: filters between the policy and the vehicle; None: those of the policy's contract.
         moves: whether the link's pose is that of the sensor; False for a dry run, whose vehicle only stands.
 
@@ -76,6 +79,7 @@ class Flight:
         layer: SafetyLayer,
         *,
         radius: float = 1.0,
+        rotation: np.ndarray | None = None,
         box: tuple[np.ndarray, np.ndarray] | None = None,
         guards: Guards | None = None,
         moves: bool = True,
@@ -87,7 +91,7 @@ class Flight:
         self.arrived: float | None = None
         self.period = 1.0 / policy.contract.rate_hz
         self._policy, self._link, self._layer = policy, link, layer
-        self._radius, self._box = radius, box
+        self._radius, self._rotation, self._box = radius, rotation, box
         contract = policy.contract
         self._guards = Guards(contract.guard_settings, 1, contract.vehicle) if guards is None else guards
         lidar = contract.cloud.lidar
@@ -130,6 +134,8 @@ class Flight:
         if control.control is not self._control:
             _logger.info("Vehicle: %s (%s)", control.control, control.sentence)
         self._control = control.control
+        if scan is not None and self._rotation is not None:
+            scan = replace(scan, points=turned(scan.points, self._rotation))
         returns = None if scan is None else Columns.of(scan.points)
         implausible = self._check(returns, pose)
         if scan is not None and returns is not None:

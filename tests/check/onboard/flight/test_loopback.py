@@ -53,6 +53,18 @@ def test_another_lidar_by_ros2(flight: Any, monkeypatch: pytest.MonkeyPatch) -> 
     assert told["latency_ms"]["median"] < 40.0
 
 
+@pytest.mark.parametrize("name", ["vlp16", "mid360"])
+def test_a_lidar_that_hangs_upside_down(flight: Any, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("cyclonedds", reason="needs cyclonedds, which has no wheel for this machine")
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    by_ros = name != "vlp16"  # which sends packets
+    lidar = (f"lidar=ros2://{DOMAIN}/points",) if by_ros else ()
+    sensor = ("mount=[180,0,90]", *(("hull.elevations=[-52,7]", "hull.repeats=false", *lidar) if by_ros else ()))
+    hung = f"env.lidar={{name:hung,like:{name},mount:[180,0,90]}}"
+    vehicle, told, printed = flight(1, hung, "perception.lidar.max_range=10", *lidar, fly=sensor)
+    assert vehicle["outcome"] == "success" and told["arrived"], printed
+
+
 def test_a_tenth_of_the_packets_is_lost_and_a_tenth_comes_late(flight: Any) -> None:
     vehicle, told, printed = flight(3, "faults.lose=0.1", "faults.reorder=0.1", "perception.lidar.max_range=10")
     assert vehicle["outcome"] == "success" and told["arrived"], printed
