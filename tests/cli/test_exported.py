@@ -111,10 +111,19 @@ def test_with_a_lidar_of_ones_own_it_flies_where_that_is_described(tmp_path: Pat
     folder = exported(tmp_path, "algo.hidden=[16]", *CELLS, f"env.lidar={lidar}")
     said = refused(evaluate_command.main, f"policy={folder}", *SHORT)
     assert "was trained with mine, a LiDAR of its own" in said and "with env.lidar=FILE.yaml" in said
+    assert f"write run={folder}, which has them" in said
     ours = evaluation(tmp_path / "policy.json", f"policy={folder}", f"env.lidar={lidar}")
     theirs = evaluation(tmp_path / "run.json", f"run={folder}")
     assert ours["outcomes"] == theirs["outcomes"] and ours["lidar"] == theirs["lidar"] == "mine"
     for flown, expected in zip(ours["flights"], theirs["flights"], strict=True):
         assert flown["flown"] == pytest.approx(expected["flown"], abs=1e-3)
     other = evaluation(tmp_path / "other.json", f"policy={folder}", "allow_unseen=true")
-    assert "lidar" not in other, "with the default's"
+    assert (other["lidar"], other["unseen_cells"]) == ("vlp16", 0), "another one than that of the training"
+    unseen = evaluation(tmp_path / "unseen.json", f"policy={folder}", "env.lidar=rplidar", "allow_unseen=true")
+    assert unseen["unseen_cells"] == 48, "as by its run"
+    assert evaluation(tmp_path / "v.json", f"run={folder}", "env.lidar=vlp16")["lidar"] == "vlp16"
+    lidar.write_text("name: mine\nelevations: [0]\nazimuth_steps: 360\nmax_range: 30\n")
+    for name in ("policy", "run"):
+        said = refused(evaluate_command.main, f"{name}={folder}", f"env.lidar={lidar}", *SHORT)
+        assert "The LiDAR mine never sees 48 of the 72 cells that the policy was trained to read with mine" in said
+        assert "uavrl-train env.lidar=FILE.yaml" in said

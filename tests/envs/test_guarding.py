@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 import torch
 from torchrl.envs import TransformedEnv
 
+from uavrl import load_policy
 from uavrl.envs import NavigationEnv
-from uavrl.envs.guarding import guarded
+from uavrl.envs.guarding import guarded, looks_around
 from uavrl.envs.gym import ValleyEnv
+from uavrl.envs.sensors import lidar_sensor, sensor_of_view
 from uavrl.errors import UavrlError
 from uavrl.transforms import NavigationState
+from uavrl.transforms.guarded import Guarded
+from uavrl.transforms.reduction import in_view as torch_in_view
 from uavrl_onboard.guards.settings import guard_settings
+from uavrl_onboard.perception.view import in_view, is_view
 
 SMALL = {"size": (14, 12), "obstacles": 3, "min_goal_distance": 4}
 
@@ -52,6 +60,45 @@ def test_a_camera_that_looks_ahead_is_told_to_fly_without_evasion(caplog: pytest
             "The LiDAR d435 does not see the same elevations on all sides, so static obstacles seem to move"
         )
         assert told.endswith("leave evasion out (guards=[map,shield" + end)
+
+
+def test_a_policy_with_a_limit_of_its_own_keeps_it_behind_guards() -> None:
+    base = NavigationEnv(1, world=SMALL, lidar={"max_range": 4.0, "far_range": 12.0}, max_speed=6.0)
+    assert guarded(base, guard_settings("all")).vehicle.velocity_limit == 6.0
+    assert guarded(base, guard_settings("all"), 2.0).vehicle.velocity_limit == 2.0
+    flown = load_policy("best").make_env("env=dynamic", "env.max_speed=6", num_uavs=1, guards=["evasion"])
+    around = next(part for part in flown.transform.modules() if isinstance(part, Guarded))
+    assert around.vehicle.velocity_limit == 2.0, "as it was trained"
+    assert flown.base_env.max_speed == 6.0
+    own = TransformedEnv(base, guarded(base, guard_settings("evasion"), 2.0))
+    fast = own.reset().set("action", torch.full((1, 4), 6.0))
+    assert own.step(fast)["next", "flown_action"].abs().max() <= 2.0
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "view"),
+    [
+        ((140.0, 220.0), (140.0, 220.0)),
+        ((90.0, 270.0), (90.0, 270.0)),
+        ((-45.0, 45.0), (-45.0, 45.0)),
+        ((-200.0, -100.0), (160.0, 260.0)),
+    ],
+)
+def test_a_sensor_that_looks_backwards_has_a_field_of_view_there(
+    azimuths: tuple[float, float], view: tuple[float, float], tmp_path: Path
+) -> None:
+    low, high = azimuths
+    around = np.arange(low, high + 0.5)
+    np.save(tmp_path / "rays.npy", np.stack([around, np.zeros_like(around)], -1))
+    sensor = lidar_sensor({"directions": str(tmp_path / "rays.npy")})
+    assert sensor.field_of_view[:2] == view and is_view(sensor.field_of_view)
+    assert not looks_around(sensor)
+    rays = sensor.rays.directions[0]
+    assert in_view(*rays.T, sensor.field_of_view).all()
+    assert torch_in_view(torch.from_numpy(rays.copy()), sensor.field_of_view).all()
+    against = -rays * np.array([1.0, 1.0, -1.0], np.float32)
+    assert in_view(*against.T, sensor.field_of_view).sum() <= max(0, len(rays) - 178)
+    assert sensor_of_view("known", sensor.field_of_view).field_of_view == pytest.approx(sensor.field_of_view, abs=0.11)
 
 
 def test_a_lidar_of_one_layer_flies_with_all_guards() -> None:

@@ -137,6 +137,21 @@ def test_rays_that_the_cells_do_not_read_do_not_count_as_seen(tmp_path: Path) ->
         check_field_of_view(perception(f"env.lidar={tmp_path / 'three.yaml'}"), "vlp16")
 
 
+def test_a_lidar_that_reaches_less_far_than_the_cells_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "short.yaml").write_text("like: vlp16\nmax_range: 1\n")
+    short, camera = f"env.lidar={tmp_path / 'short.yaml'}", perception("env.lidar=d435", "perception.lidar.max_range=3")
+    with caplog.at_level(logging.WARNING):
+        assert check_field_of_view(perception(short), "vlp16") == 0
+        check_field_of_view(camera, "vlp16", allowed=True)
+        check_field_of_view(perception(short), perception(short)["lidar"].sensor)  # it was trained so
+        check_field_of_view(perception("env.lidar=mid360"), "vlp16")
+    told = [message for message in caplog.messages if "reaches" in message]
+    assert told == [
+        "The LiDAR short reaches 1 m, and the policy reads its cells up to 4 m: what is farther reads as free.",
+        "The LiDAR d435 reaches 3 m, and the policy reads its cells up to 4 m: what is farther reads as free.",
+    ]
+
+
 def test_a_run_keeps_its_sensor_and_its_speed_in_another_environment() -> None:
     run = resolve(compose("preset=dagger", "env.lidar=mid360", "env.max_speed=4", "run_dir=x"))
     assert run.perception.lidar.sensor == trained_sensor(run) == "mid360" and "lidar" not in run.env

@@ -344,6 +344,12 @@ def test_no_flights_are_refused() -> None:
         summarize([])
 
 
+def test_a_slow_straight_policy_turns_as_its_environment_allows() -> None:
+    state = TensorDict({"heading_deg": torch.tensor([[90.0]]), "altitude": torch.tensor([[0.0]])}, [1])
+    assert StraightPolicy(max_speed=1.0)(state)["action"].tolist() == [[0.0, 0.0, 1.0, 1.0]]
+    assert StraightPolicy(max_speed=6.0)(state)["action"].tolist() == [[0.0, 0.0, 3.5, 2.0]]
+
+
 @pytest.mark.parametrize(
     ("heading", "altitude", "action"),
     [

@@ -15,6 +15,7 @@ from tests.helpers.contracts import TransformContract
 from tests.helpers.numpy_reductions import clouds
 from uavrl.envs import NavigationEnv
 from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.sensors import SENSORS
 from uavrl.envs.world import WorldConfig
 from uavrl.errors import UavrlError
 from uavrl.policies.baselines import VectorFieldHistogram
@@ -127,6 +128,12 @@ def test_a_grid_for_a_sensors_field_of_view() -> None:
     many = np.random.default_rng(0).uniform(-7, 52, 5000).round(2).tolist()
     even = RangeImage.for_sensor(lidar([-7.0, 52.0, *many], [0.0]), rows=2).grid
     assert even.row_borders == (22.5,)
+
+
+def test_a_sensor_of_one_layer_gets_one_row() -> None:
+    made = RangeImage.for_sensor(torch.from_numpy(SENSORS["rplidar"].rays.directions[0].copy()), rows=1)
+    assert made.grid.elevation == (-5.0, 5.0) and made.grid.count == 24
+    assert made.unseen_cells(torch.from_numpy(SENSORS["rplidar"].rays.directions[0].copy())) == []
 
 
 def test_what_is_no_sensor_for_a_grid_is_refused() -> None:

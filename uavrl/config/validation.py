@@ -36,7 +36,8 @@ def validate(config: DictConfig, kind: type[Any] = TrainConfig) -> Any:
     for each in fields(kind):
         if each.default is each.default_factory is MISSING and each.name not in values:
             raise UavrlError(f"{each.name} is not in the configuration: choose one with {each.name}=NAME.")
-    parts = {name: value for name, value in values.items() if name in PARTS}
+    # An environment first: others take values over from it, and its key is the one that was given.
+    parts = {name: values[name] for name in sorted(PARTS, key=lambda name: name != "env") if name in values}
     others = validated({name: value for name, value in values.items() if name not in parts}, hints)
     return kind(**others, **validated_parts(parts, others.get("packages", ())))
 

@@ -55,12 +55,13 @@ def looks_around(device: LidarSensor) -> bool:
     return bool(max(np.ptp(lowest[seen]), np.ptp(highest[seen])) <= 2 * TILTED)
 
 
-def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
+def guarded(base: NavigationEnv, guards: GuardSettings, max_speed: float | None = None) -> Guarded:
     """Return the transform that puts guards around an environment.
 
     Args:
         base: with the vehicle and the LiDAR that the guards assume.
         guards: which are on. A shield's ``nearest`` of None becomes the LiDAR's.
+        max_speed: the policy's own limit in m/s, which guards keep, too; None for that of the environment.
 
     Raises:
         UavrlError: if a guard looks farther than the LiDAR reaches: what is not scanned would seem to be free.
@@ -94,6 +95,7 @@ def guarded(base: NavigationEnv, guards: GuardSettings) -> Guarded:
         )
     if guards.shield is not None and guards.shield.nearest is None:
         guards = replace(guards, shield=replace(guards.shield, nearest=lidar.nearest))
-    vehicle = base.airframe.vehicle(base.world_config.flight_level, base.max_speed)
+    limit = base.max_speed if max_speed is None else min(max_speed, base.max_speed)
+    vehicle = base.airframe.vehicle(base.world_config.flight_level, limit)
     vehicle = replace(vehicle, lidar_elevations=device.field_of_view[2:], lidar_repeats=device.repeats)
     return Guarded(guards, vehicle=vehicle)

@@ -20,6 +20,7 @@ from uavrl.errors import UavrlError, did_you_mean
 from uavrl_onboard.geometry import spherical
 from uavrl_onboard.lidar.mount import UPRIGHT, mount_rotation, mount_trouble, turned
 from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, FIRING_TIMES, firing_directions
+from uavrl_onboard.perception.view import View
 
 __all__ = ["SENSORS", "LidarSensor", "SensorRays", "lidar_sensor"]
 
@@ -175,20 +176,24 @@ class LidarSensor:
     def field_of_view(self) -> tuple[float, float, float, float]:
         """Right, left, lowest and highest direction of any ray in degrees, rounded to a tenth.
 
+        The left one is beyond 180 if the sensor looks backwards.
+
         Examples:
             >>> SENSORS["d435"].field_of_view
             (-43.5, 43.5, -29.0, 29.0)
+            >>> replace(SENSORS["d435"], mount=(0, 0, 180)).field_of_view
+            (136.5, 223.5, -29.0, 29.0)
         """
         x, y, z = self.rays.directions.reshape(-1, 3).astype(float).T
         azimuth, elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
         around = np.sort(azimuth)
         gaps = np.diff(around, append=around[0] + 360)
         usual = np.median(gaps[gaps > 0.01]) if (gaps > 0.01).any() else 0.0
-        sides = (
-            (-180.0, 180.0)
-            if gaps.max() < min(max(10.0, 1.5 * usual), 180.0)
-            else (float(around[0]), float(around[-1]))
-        )
+        sides = -180.0, 180.0
+        if gaps.max() >= min(max(10.0, 1.5 * usual), 180.0):
+            widest = int(gaps.argmax())  # the sensor looks from its left end to its right one
+            right = float(around[(widest + 1) % len(around)])
+            sides = right, right + 360.0 - float(gaps[widest])
         rounded = [round(angle, 1) + 0.0 for angle in (*sides, float(elevation.min()), float(elevation.max()))]
         return rounded[0], rounded[1], rounded[2], rounded[3]
 
@@ -319,6 +324,22 @@ def _variant(like: str, values: dict[str, Any]) -> LidarSensor:
     if fixed:
         raise UavrlError(f"A LiDAR like {like} has its rays: leave {' and '.join(fixed)} out, or leave like out.")
     return replace(known, **{"name": "own"} | values)
+
+
+def sensor_of_view(name: str, view: View) -> LidarSensor:
+    """Return a sensor with a ray in each degree of a field of view, of which nothing else is known.
+
+    Examples:
+        >>> sensor_of_view("mine", (-180.0, 180.0, -7.0, 52.0)).num_rays
+        21600
+    """
+    right, left, low, high = view
+    elevations = tuple(np.linspace(low, high, math.ceil(high - low) + 1).tolist())
+    steps, middle = max(1, math.ceil(left - right)), (right + left) / 2
+    ahead = (right - middle, left - middle)  # as one that looks ahead, and is turned
+    around = ahead if left - right < 360.0 else (-180.0, 180.0)
+    mount = UPRIGHT if middle == 0.0 else (0.0, 0.0, math.remainder(middle, 360.0))
+    return LidarSensor(name, elevations, steps, around, mount=mount)
 
 
 def _stamp_of(path: Path) -> tuple[int, int] | None:

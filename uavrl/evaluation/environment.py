@@ -53,18 +53,19 @@ def make_env(
     perception = with_sight(perception, guards)
     several = {} if num_uavs is None else {"num_uavs": num_uavs}  # in place of the run's
     seen = {key: value for key, value in perception.items() if key not in CONTEXT["env"]}
-    own = {**seen, **env, **several}
+    settings = {**seen, **env, **several}
     asked = [key for key in QUANTITIES if key in (*critic_reads, *policy_reads)]
     context |= {"privileged": asked} if asked else {}
-    base = build(own, EnvBase, packages=packages, key="env", **context)
+    base = build(settings, EnvBase, packages=packages, key="env", **context)
     if base is None:
         raise UavrlError("env must name an environment, got null: choose one with env=NAME.")
     made = kind(base, Compose())
-    if guards is not None and guards.names:
-        reward = _guard(made, reward, guards, packages)
     position = getattr(env.get("airframe"), "lidar_position", None)  # somebody else's airframe may have none
     mounted = {} if position is None else {"sensor_position": position}
     state = build(perception, Transform, packages=packages, **mounted)
+    if guards is not None and guards.names:
+        limit = getattr(state, "max_speed", None)  # of a trained policy that of its training
+        reward = _guard(made, reward, guards, packages, limit)
     for part in () if state is None else state.modules():
         if isinstance(part, PointCloudReduction):
             part.view = getattr(perception.get("lidar"), "trained_view", None)
@@ -93,13 +94,14 @@ def _guard(
     reward: Mapping[str, Any] | None,
     guards: GuardSettings,
     packages: Iterable[str],
+    max_speed: float | None,
 ) -> Mapping[str, Any] | None:
     """Put guards before all transforms; return the reward, which reads the heading to the goal itself."""
     if not isinstance(made.base_env, NavigationEnv):
         raise UavrlError(
             f"Guards read the scans of a valley, and {type(made.base_env).__name__} is none: choose guards=none."
         )
-    around = guarded(made.base_env, guards)
+    around = guarded(made.base_env, guards, max_speed)
     made.append_transform(around)
     if reward is None or reward[TARGET] is None or not around.leads:
         return reward

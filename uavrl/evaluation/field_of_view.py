@@ -12,6 +12,7 @@ from torchrl.envs import Transform
 
 from uavrl.config.build import TARGET, build
 from uavrl.envs.lidar import LidarConfig
+from uavrl.envs.sensors import SENSORS, LidarSensor
 from uavrl.errors import UavrlError
 from uavrl.transforms import PointCloudReduction, RangeImage
 from uavrl_onboard.perception.view import View, in_view, with_rows
@@ -106,6 +107,7 @@ def check_field_of_view(
     device, known = lidar.device, replace(lidar, sensor=trained_with or TRAINED_WITH).device
     if device == known:
         return 0
+    _warn_short(perception, lidar, known)
     view = with_trained_view(perception, trained_with, packages)["lidar"].trained_view
     unseen, directions = unseen_cells(perception, lidar.sensor, packages, view)
     seen_before = set(unseen) - set(unseen_cells(perception, known, packages)[0]) if unseen else set()
@@ -116,11 +118,24 @@ def check_field_of_view(
     if trained_with is None or allowed:
         log.warning("%s %s; they read as free.", told, where)
         return len(seen_before)
+    its_name = device.name if device.name in SENSORS else "FILE.yaml"
     raise UavrlError(
         f"{told} that the policy was trained to read with {known.name} {where}, so it would take them for free: choose "
-        f"another env.lidar, train a policy for this one with uavrl-train env.lidar={device.name}, or fly nevertheless "
+        f"another env.lidar, train a policy for this one with uavrl-train env.lidar={its_name}, or fly nevertheless "
         "with allow_unseen=true."
     )
+
+
+def _warn_short(perception: Mapping[str, Any], flown: LidarConfig, trained_with: LidarSensor) -> None:
+    """Warn if the LiDAR reaches less far than the cells of a policy, and than that of its training does."""
+    radius = perception.get("radius")
+    if isinstance(radius, int | float) and flown.reach < min(float(radius), trained_with.max_range):
+        log.warning(
+            "The LiDAR %s reaches %g m, and the policy reads its cells up to %g m: what is farther reads as free.",
+            flown.device.name,
+            flown.reach,
+            radius,
+        )
 
 
 def warn_beyond_rows(perception: Mapping[str, Any], packages: Iterable[str] = ()) -> None:

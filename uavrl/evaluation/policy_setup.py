@@ -13,13 +13,14 @@ from uavrl.config import TrainConfig, validate
 from uavrl.config.build import TARGET
 from uavrl.config.parts import Part
 from uavrl.config.settings import EvaluateConfig, FlyingConfig
-from uavrl.envs.sensors import SENSORS, LidarSensor
+from uavrl.envs.sensors import SENSORS, LidarSensor, sensor_of_view
 from uavrl.errors import UavrlError
 from uavrl.evaluation.overrides import keys_of, require_sensor_alone, require_valley, with_overrides
 from uavrl.evaluation.policies import default_guards, named_policy
 from uavrl.evaluation.worlds import TRAINING, UNSEEN, unseen_seeds, without_variety
 from uavrl.runs.labels import label
 from uavrl_onboard.guards.settings import GuardSettings, guard_settings
+from uavrl_onboard.policy.contract import read_contract
 
 if TYPE_CHECKING:
     import torch
@@ -124,21 +125,25 @@ def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPoli
     allowed = settings.allow_unseen
     unseen = check_field_of_view(chosen.perception, trained_with, settings.packages, allowed=allowed)
     perception = Part(with_trained_view(chosen.perception, trained_with, settings.packages))
-    if lidar.device.name == TRAINED_WITH:
+    if lidar.device == replace(lidar, sensor=trained_with or TRAINED_WITH).device == SENSORS[TRAINED_WITH]:
         return replace(chosen, perception=perception)
     source = {**chosen.source, "lidar": lidar.device.name, "unseen_cells": unseen}
     return replace(chosen, source=source, perception=perception)
 
 
 def _own_sensor(name: str, flown: LidarSensor, settings: FlyingConfig) -> LidarSensor:
-    """Return the LiDAR of one's own that a policy was trained with, of which its contract has no rays."""
+    """Return what is known of the LiDAR of one's own that a policy was trained with: all of its field of view."""
+    folder = Path(str(settings.policy)).expanduser()
     if flown.name != name and not settings.allow_unseen:
+        kept = f"write run={settings.policy}, which has them, " if (folder / "config.yaml").is_file() else ""
         raise UavrlError(
-            f"{settings.policy} was trained with {name}, a LiDAR of its own, whose rays are not in its contract: name "
-            f"the YAML file that describes it with env.lidar=FILE.yaml, or fly with {flown.name} nevertheless with "
-            "allow_unseen=true."
+            f"{settings.policy} was trained with {name}, a LiDAR of its own, whose rays are not in its contract: "
+            f"{kept}name the YAML file that describes it with env.lidar=FILE.yaml, or fly with {flown.name} "
+            "nevertheless with allow_unseen=true."
         )
-    return flown
+    lidar = read_contract(folder).cloud.lidar
+    assert lidar is not None, "else the policy was trained with a VLP-16"
+    return sensor_of_view(name, lidar.field_of_view)
 
 
 def _guarded(

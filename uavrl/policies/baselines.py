@@ -78,7 +78,8 @@ class StraightPolicy(PolicyModule):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes ``action`` from ``heading_deg`` and ``altitude``."""
         heading = wrapped_heading(tensordict["heading_deg"])
-        limit, fastest_turn = self.max_speed, VEHICLE.yaw_rate_limit
+        limit = self.max_speed
+        fastest_turn = min(limit, VEHICLE.yaw_rate_limit)  # as the environment's actions have it
         forward = limit * (heading.abs() < self.cone).float()
         climb = (self.flight_level - tensordict["altitude"]).clamp(-limit, limit)
         turn = (3 * heading).clamp(-fastest_turn, fastest_turn)

@@ -93,8 +93,8 @@ def in_view(points: Tensor, view: View) -> Tensor:
     elevation = torch.rad2deg(torch.atan2(z, torch.hypot(x, y)))
     seen = (elevation >= low - SLACK) & (elevation <= high + SLACK)
     if left - right + 2 * SLACK < 360.0:
-        azimuth = torch.rad2deg(torch.atan2(y, x))
-        seen &= (azimuth >= right - SLACK) & (azimuth <= left + SLACK)
+        from_right = (torch.rad2deg(torch.atan2(y, x)) - (right - SLACK)).remainder(360.0)
+        seen &= from_right <= left - right + 2 * SLACK
     return seen
 
 

@@ -247,7 +247,7 @@ def make_guards(settings: FlyConfig, policy: Policy) -> Guards:
 
 
 def make_vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
-    """Return the policy's vehicle with the hull and the LiDAR of the command line, within its safety limits."""
+    """Return the policy's vehicle with the hull and the LiDAR of the command line, within all limits."""
     hull, limits, trained = settings.hull, settings.safety, policy.contract.vehicle
     return replace(
         trained,
@@ -256,8 +256,8 @@ def make_vehicle(settings: FlyConfig, policy: Policy) -> Vehicle:
         lidar_position=trained.lidar_position if hull.sensor is None else (0.0, 0.0, hull.sensor),
         lidar_elevations=hull.elevations or trained.lidar_elevations,
         lidar_repeats=trained.lidar_repeats if hull.repeats is None else hull.repeats,
-        velocity_limit=limits.velocity,
-        yaw_rate_limit=limits.yaw_rate,
+        velocity_limit=min(limits.velocity, trained.velocity_limit),
+        yaw_rate_limit=min(limits.yaw_rate, trained.yaw_rate_limit),
     )
 
 

@@ -82,8 +82,8 @@ class Coverage:
         right, left = sides
         self._elevations = elevations
         self._lowest, self._highest = math.inf, -math.inf  # sines of the elevations of all returns
-        degrees = (np.arange(360) + 0.5 + 180.0) % 360.0 - 180.0
-        self._beside = (degrees < right + _EDGE) | (degrees > left - _EDGE)
+        from_right = (np.arange(360) + 0.5 - right) % 360.0
+        self._beside = (from_right < _EDGE) | (from_right > left - right - _EDGE)
         if left - right > 360.0 - _EDGE:
             self._beside[:] = False
         self._empty, self._odd, self._scans = 0, 0, 0

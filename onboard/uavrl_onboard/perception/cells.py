@@ -28,6 +28,7 @@ FAR_EVERY = 5  # of the firing cycles, which look farther than the cells: one to
 _ROUNDING = 2e-6
 
 MOST_CELLS = 10_000  # of a range image
+_LAYER = 5.0  # degrees beside a single layer of rays that count as its row
 _LEVELS = 256  # elevations of rays that a row's border is kept away from; of a sensor with more, rows are equal
 _VLP16, _VLP16_BORDERS = (3, (-15.0, 15.0)), (-4.0, 4.0)  # half-way between lasers: at ±5 rounding would choose
 
@@ -153,7 +154,8 @@ class RangeGrid:
     def for_sensor(cls, rays: np.ndarray, columns: int = 24, rows: int = 3) -> "RangeGrid":
         """Returns the grid for the field of view of a sensor whose rays fly in the directions ``rays [R, 3]``.
 
-        Its rows share the elevations of the rays equally, with each border half-way between two lasers.
+        Its rows share the elevations of the rays equally, with each border half-way between two lasers. The row of a
+        sensor with a single layer reaches 5 degrees above and below it.
 
         Raises:
             UavrlError: for directions that are none, and for more rows than the sensor's lasers fill.
@@ -166,8 +168,10 @@ class RangeGrid:
         """
         levels = np.unique(elevations_of(rays).round(2))  # a hundredth of a degree: rounding makes no lasers
         low, high = float(levels[0]), float(levels[-1])
-        if len(levels) < max(rows, 2):
-            raise UavrlError(f"Expected rays at {max(rows, 2)} elevations or more for {rows} rows, got {len(levels)}.")
+        if len(levels) < rows:
+            raise UavrlError(f"Expected rays at {rows} elevations or more for {rows} rows, got {len(levels)}.")
+        if len(levels) == 1:
+            return cls(columns, rows, (max(low - _LAYER, -90.0), min(high + _LAYER, 90.0)))
         equal = low + np.arange(1, rows) * (high - low) / rows
         if len(levels) > _LEVELS:
             return cls(columns, rows, (low, high), tuple(equal.tolist()))

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 View = tuple[float, float, float, float]
-"""The rightmost, leftmost, lowest and highest direction in degrees; 0 is ahead, left and up are positive."""
+"""The rightmost, leftmost, lowest and highest direction in degrees; 0 is ahead, left and up are positive.
+
+The leftmost direction of a sensor that looks backwards is beyond 180.
+"""
 VLP16_VIEW: View = (-180.0, 180.0, -15.0, 15.0)
 SLACK = 0.5  # degrees beside a field of view that still count, since sensors differ and angles are rounded
 
@@ -27,20 +30,22 @@ def in_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, view: View) -> np.ndarr
         [True, False, False]
         >>> in_view(x, y, z, (-180.0, 180.0, -15.0, 15.0)).tolist()
         [True, False, True]
+        >>> in_view(x, y, z, (135.0, 225.0, -15.0, 15.0)).tolist()  # backwards
+        [False, False, True]
     """
     right, left, low, high = view
     elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
     seen = (elevation >= low - SLACK) & (elevation <= high + SLACK)
     if left - right + 2 * SLACK < 360.0:
-        azimuth = np.degrees(np.arctan2(y, x))
-        seen &= (azimuth >= right - SLACK) & (azimuth <= left + SLACK)
+        from_right = (np.degrees(np.arctan2(y, x)) - (right - SLACK)) % 360.0
+        seen &= from_right <= left - right + 2 * SLACK
     return np.asarray(seen)
 
 
 def is_view(view: View) -> bool:
     """Return whether four numbers are a field of view: each pair in order, and within the sphere."""
     right, left, low, high = view
-    return -180.0 <= right <= left <= 180.0 and -90.0 <= low <= high <= 90.0
+    return -180.0 <= right <= 180.0 and right <= left <= right + 360.0 and -90.0 <= low <= high <= 90.0
 
 
 def with_rows(view: View, elevation: tuple[float, float]) -> View:
