@@ -122,13 +122,6 @@ def test_what_a_ply_tells_beside_its_corners_changes_nothing(corner: str, face: 
         read(tmp_path / "a.ply", written(WALL, [list(range(8))] * 2))
 
 
-@pytest.mark.parametrize("line", [" f 1 3 4", "f\t1 3 4", " v 9 9 9", "v\t9 9 9"])
-def test_lines_that_would_be_left_out_are_told(line: str, tmp_path: Path) -> None:
-    for content in (obj(HEXAGON, "1 2 3") + line + "\n", line + "\n" + obj(HEXAGON, "1 2 3")):
-        with pytest.raises(Unread, match="in lines with a tab, or with a blank at the beginning, which are not read"):
-            read(tmp_path / "a.obj", content)
-
-
 def test_convex_faces_are_read_whole(tmp_path: Path) -> None:
     for number in range(6):
         assert area(read(tmp_path / "a.obj", obj(HEXAGON, around(6, number)))) == pytest.approx(12.0)
@@ -217,10 +210,3 @@ def test_an_npz_without_arrays_is_told(tmp_path: Path) -> None:
 def test_points_are_preferred_among_the_arrays_of_an_npz(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", xyz=np.zeros((2, 3)), points=np.ones((3, 3)), colours=np.zeros((3, 3)))
     assert read_shape(tmp_path / "a.npz", 2**30)[0].tolist() == np.ones((3, 3)).tolist()
-
-
-@pytest.mark.parametrize("text", ["//X Y Z\n1 2 3\n", "1,2,3\n4,5,6\n", "x y z\n1 2 3\n", "1 2\n3 4\n"])
-def test_an_xyz_file_is_told_how_its_lines_must_be(text: str, tmp_path: Path) -> None:
-    with pytest.raises(Unread, match="each line must hold x, y and z with blanks between them, without a header"):
-        read(tmp_path / "a.xyz", text)
-    assert len(read(tmp_path / "a.xyz", "1 2 3\n4 5 6\n")[0]) == 2

@@ -1,6 +1,5 @@
 """Faces with more than three corners: trimesh cuts them into a fan, which can fill the openings of those not convex."""
 
-import re
 from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any, BinaryIO
@@ -11,7 +10,6 @@ MOST_FILLED = 0.01  # of a face's area: what a fan may cover outside of the face
 OPENING = 0.05  # m², which is more than a fan may cover outside of any face: nothing flies through less
 _AT_ONCE = 100_000  # polygons
 _CORNERS = ("vertex_indices", "vertex_index")  # what the list of a PLY's face is called
-UNREAD_LINES = re.compile(rb"(?:\A|[\r\n])(?:[ \t]+[vf][ \t]|[vf]\t)")  # of an OBJ: trimesh leaves them out
 
 
 def count_filled(points: np.ndarray, polygons: np.ndarray | Sequence[np.ndarray], opening: float = OPENING) -> int:
@@ -53,19 +51,14 @@ def _is_filled(corners: np.ndarray, opening: float) -> np.ndarray:
 
 
 def filled_in_obj(file: BinaryIO, opening: float = OPENING) -> int:
-    """Count the faces of an OBJ that a fan does not fit."""
-    points, before = array("d"), b""
+    """Count the faces that a fan does not fit, of an OBJ with plain lines."""
+    points = array("d")
     faces: dict[int, array[int]] = {}
-    for part in file:
-        line = before + part
-        if line.rstrip(b"\r\n").endswith(b"\\"):
-            before = line.rstrip(b"\r\n")[:-1] + b" "
-            continue
-        before = b""
+    for line in file:
         if line.startswith(b"v "):
             points.extend(map(float, line.split()[1:4]))
-        elif line.startswith(b"f ") and len(words := line.partition(b"#")[0].split()) > 4:
-            corners = (int(word.partition(b"/")[0]) - 1 for word in words[1:])
+        elif line.startswith(b"f ") and len(words := line.split()) > 4:
+            corners = (int(word) - 1 for word in words[1:])
             faces.setdefault(len(words) - 1, array("q")).extend(corners)
     file.seek(0)
     places = np.array(points).reshape(-1, 3)

@@ -8,30 +8,27 @@ the folder, or ``reason``.
 """
 
 import json
-import mmap
 import re
 import struct
 import sys
 import zipfile
 from collections.abc import Iterable
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from uavrl.envs.polygons import OPENING, UNREAD_LINES, count_filled, filled_in_obj, polygons_of_ply
+from uavrl.envs.polygons import OPENING, count_filled, filled_in_obj, polygons_of_ply
+from uavrl.envs.shape_text import Unread, plain_obj, plain_pcd, plain_ply, points_of_xyz
 
 MESHES = (".stl", ".obj", ".ply", ".glb")
 CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".npz")
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization")
 LOOKS = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")  # which change no surface
 FAN = 6  # of the ways in which a GLB joins corners
-_RELATIVE = re.compile(rb"(?:\A|[\r\n])[ \t]*f(?=[ \t])[^\r\n#]*(?:[ \t/]-[0-9]|[ \t]0+(?![0-9]))")  # of an OBJ
-
-
-class Unread(ValueError):
-    """A whole file that uses something that is not read: what, and what to do, as the rest of a sentence."""
+_RELATIVE = re.compile(rb"(?m)^f(?= )[^\n]*(?: -[0-9]| 0+(?![0-9]))")  # of an OBJ
 
 
 def read_shape(path: Path, most: int, opening: float = OPENING) -> tuple[np.ndarray, np.ndarray]:
@@ -39,27 +36,12 @@ def read_shape(path: Path, most: int, opening: float = OPENING) -> tuple[np.ndar
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
         return _points_of(_array(path, most)), np.zeros((0, 3), np.int64)
-    with path.open("rb") as file:
-        if suffix == ".pcd":
-            from pypcd4 import PointCloud
+    if suffix in (".pcd", ".xyz"):
+        points = _points_of_pcd(path) if suffix == ".pcd" else points_of_xyz(path.read_bytes())
+        return points, np.zeros((0, 3), np.int64)
+    import trimesh
 
-            cloud = PointCloud.from_fileobj(file)
-            held, told = np.size(cloud.pc_data), cloud.metadata.points
-            if held < told:
-                raise ValueError(f"it holds {held:,} of the {told:,} points that its header tells")
-            return _points_of(cloud.numpy(("x", "y", "z"))), np.zeros((0, 3), np.int64)
-        _require_absolute(file, suffix)
-        _require_plain(file, suffix)
-        if suffix == ".obj":
-            _require_fans(filled_in_obj(file, opening))
-        import trimesh
-
-        if suffix == ".xyz":
-            try:
-                return _points_of(trimesh.exchange.xyz.load_xyz(file)["vertices"]), np.zeros((0, 3), np.int64)
-            except ValueError as error:
-                rows = "each line must hold x, y and z with blanks between them, without a header"
-                raise Unread(f"cannot be read as XYZ: {rows}") from error
+    with _opened(path, opening) as file:
         try:
             scene = trimesh.load_scene(
                 file, file_type=suffix[1:], resolver={}, allow_remote=False, skip_materials=True, process=False
@@ -82,32 +64,49 @@ def read_shape(path: Path, most: int, opening: float = OPENING) -> tuple[np.ndar
         found = [each.vertices for each in scene.geometry.values() if hasattr(each, "vertices")]
         if not sum(map(len, found)):
             raise ValueError("it holds neither triangles nor points")
-        return _points_of(np.concatenate([np.zeros((0, 3)), *found])), np.zeros((0, 3), np.int64)
+        return np.concatenate([np.zeros((0, 3)), *found]), np.zeros((0, 3), np.int64)
     mesh = scene.to_mesh()
-    return _points_of(mesh.vertices), np.asarray(mesh.faces, np.int64)
+    return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
 
 
-def _require_absolute(file: BinaryIO, suffix: str) -> None:
-    """Refuses an OBJ whose faces count corners backwards or from 0: trimesh takes other corners then."""
-    if suffix != ".obj":
-        return
-    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+def _opened(path: Path, opening: float) -> BinaryIO:
+    """The file as trimesh reads it right; refuses those that it would read otherwise, or in part."""
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        return BytesIO(plain_ply(path.read_bytes()))
+    if suffix == ".obj":
+        content = plain_obj(path.read_bytes())
         if _RELATIVE.search(content):
             raise Unread(
                 "has faces with relative (negative) indices or an index 0, which are not read: export it with absolute "
                 "ones, from 1 on"
             )
-        if UNREAD_LINES.search(content):
-            raise Unread(
-                "has corners or faces in lines with a tab, or with a blank at the beginning, which are not read: begin "
-                "these lines with 'v ' and 'f '"
-            )
+        file = BytesIO(content)
+        _require_fans(filled_in_obj(file, opening))
+        return file
+    opened = path.open("rb")
+    if suffix == ".glb":
+        _require_plain(opened)
+    return opened
 
 
-def _require_plain(file: BinaryIO, suffix: str) -> None:
+def _points_of_pcd(path: Path) -> np.ndarray:
+    from pydantic import ValidationError
+    from pypcd4 import PointCloud
+
+    try:
+        cloud = PointCloud.from_fileobj(BytesIO(plain_pcd(path.read_bytes())))  # type: ignore[arg-type]
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        raise ValueError(f"the line {str(wrong['loc'][0]).upper()} of its header is wrong: {wrong['msg']}") from error
+    held, told = np.size(cloud.pc_data), cloud.metadata.points
+    if held < told:
+        raise ValueError(f"it holds {held:,} of the {told:,} points that its header tells")
+    return np.stack([np.asarray(cloud.pc_data[axis], np.float64) for axis in "xyz"], -1)
+
+
+def _require_plain(file: BinaryIO) -> None:
     """Refuses a GLB with surfaces that trimesh reads otherwise, or leaves out."""
-    if suffix != ".glb":
-        return
     start = file.read(20)
     try:
         magic, _, _, length, kind = struct.unpack("<4sIII4s", start)
