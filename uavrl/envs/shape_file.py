@@ -123,9 +123,10 @@ def _refused(path: Path, reason: str) -> UavrlError:
             f"{path} has {path.stat().st_size / 1e6:.1f} MB and unpacks to more than {MOST_MEMORY / 2**30:.0f} GB: "
             "decimate it, or, if it is not yours, do not trust it."
         )
+    alone = ", as one file that refers to no others" if path.suffix.lower() == ".glb" else ""
     return UavrlError(
         f"{path} cannot be read as {path.suffix[1:].upper()} ({text}): if it is still being written, wait; otherwise "
-        "export it again, as one file that refers to no others."
+        f"export it again{alone}."
     )
 
 

@@ -28,6 +28,7 @@ CLOUDS = (".ply", ".pcd", ".xyz", ".npy", ".npz")
 COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization")
 LOOKS = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")  # which change no surface
 FAN = 6  # of the ways in which a GLB joins corners
+MOST_COLUMNS = 32  # of an array of points: one with more is something else, as a depth image is
 _RELATIVE = re.compile(rb"(?m)^f(?= )[^\n]*(?: -[0-9]| 0+(?![0-9]))")  # of an OBJ
 
 
@@ -35,7 +36,7 @@ def read_shape(path: Path, most: int, opening: float = OPENING) -> tuple[np.ndar
     """Points ``[P, 3]`` and triangles ``[F, 3]`` of a file; a point cloud has no triangles."""
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
-        return _points_of(_array(path, most)), np.zeros((0, 3), np.int64)
+        return _points_of_array(_array(path, most)), np.zeros((0, 3), np.int64)
     if suffix in (".pcd", ".xyz"):
         points = _points_of_pcd(path) if suffix == ".pcd" else points_of_xyz(path.read_bytes())
         return points, np.zeros((0, 3), np.int64)
@@ -164,17 +165,28 @@ def _array(path: Path, most: int) -> np.ndarray:
     with np.load(path, allow_pickle=False) as data:
         names = [name for name in ("points", "xyz", "vertices") if name in data.files] or data.files
         if not names:
-            raise ValueError("holds no array")
+            raise Unread("holds no array: save the points as an array [P, 3]")
         if len(names) > 1 and names is data.files:
-            raise ValueError(f"holds the arrays {', '.join(data.files)}, of which none is called points")
+            raise Unread(f"holds the arrays {', '.join(data.files)}: save the one with the points as points")
         return np.asarray(data[names[0]])
 
 
-def _points_of(array: Any) -> np.ndarray:
-    found = np.asarray(array)
-    if found.ndim != 2 or found.shape[1] < 3 or found.dtype.kind not in "fiu":
-        raise ValueError(f"holds an array of shape {list(found.shape)} and type {found.dtype}, and points are [P, 3]")
-    return np.ascontiguousarray(found[:, :3], np.float64)
+def _points_of_array(array: np.ndarray) -> np.ndarray:
+    """Points ``[P, 3]`` of an array of points, of an organised cloud ``[H, W, 3]``, or of fields x, y and z."""
+    fields = {str(name).lower(): name for name in array.dtype.names or ()}
+    if {"x", "y", "z"} <= set(fields):
+        return np.stack([array[fields[axis]].ravel().astype(np.float64) for axis in "xyz"], -1)
+    shape, kind = array.shape, array.dtype.kind
+    is_cloud = (len(shape) == 2 and kind in "fiu") or (len(shape) == 3 and kind == "f")  # whole numbers: a picture
+    found = f"holds an array of shape {list(shape)} and type {array.dtype}"
+    if is_cloud and len(shape) == 2 and shape[0] in (3, 4) and shape[1] > 4:
+        raise Unread(f"{found}, and points are [P, 3]: transpose it")
+    if not is_cloud or not 3 <= shape[-1] <= MOST_COLUMNS:
+        raise Unread(
+            f"{found}, and points are numbers [P, 3] or [H, W, 3], with at most {MOST_COLUMNS} columns, or have fields "
+            "x, y and z: save the points so"
+        )
+    return np.ascontiguousarray(array.reshape(-1, shape[-1])[:, :3], np.float64)
 
 
 def limit_memory(most: int) -> None:
