@@ -205,7 +205,10 @@ class NavigationEnv(EnvBase):
     def world(self) -> World:
         """Places, goals and routes; built at the first use, which takes seconds."""
         needed = None if self._tasks is None else places_of(self.world_config, self._seed, self._tasks)
-        return World(self.world_config, needed)
+        try:
+            return World(self.world_config, needed)
+        except AttributeError as error:  # PyTorch would take it for a missing attribute "world", and hide this one
+            raise RuntimeError(f"The world {type(self.world_config).__name__} cannot be built: {error}.") from error
 
     @property
     def tasks_begun(self) -> int:

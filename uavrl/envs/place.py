@@ -9,6 +9,7 @@ import numpy as np
 from uavrl.envs.lanes import Lane, plan_lanes
 from uavrl.envs.mesh import cut_up, edge_lengths
 from uavrl.envs.rules import Scene, Standing, WorldRules
+from uavrl.envs.scene_check import checked_scene
 from uavrl.envs.tasks import FlightMap, flight_map
 from uavrl.envs.terrain import HeightField
 from uavrl.envs.traps import LONGEST_WAY, Trap, trapped
@@ -90,7 +91,7 @@ def _floor(scene: Scene) -> HeightField:
 
 def build_place(config: WorldRules, number: int, origin: np.ndarray) -> Place:
     """Builds the place of ``config.seeds[number]`` around ``origin [2]``; the cache may hold its map."""
-    scene = config.scene(number)
+    scene = checked_scene(config, number)
     rules = config.map_rules(number)
     name = map_name({**config.own_rules(), "scene": _digest(scene)} if rules is None else rules)
     if (found := load_map(name)) is None:

@@ -50,7 +50,8 @@ class Scene(NamedTuple):
 
     Attributes:
         obstacles: All triangles but those of the ground.
-        size: Lengths along x and y of the area in which episodes begin and end.
+        size: Lengths along x and y of the area in which episodes begin and end. This is the ``size`` of the world, by
+            which places are laid out.
         ground: The ground; None where the obstacles hold it, and the floor is at z = 0.
         margin: How far beyond that area a vehicle may fly; the ground reaches as far.
         traps: Of a valley.
