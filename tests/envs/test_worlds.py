@@ -129,6 +129,25 @@ def test_the_free_width_of_a_corridor_is_its_width() -> None:
     assert found.spacing == pytest.approx(4.45, abs=0.3)
 
 
+def test_of_equally_short_ways_the_widest_is_measured(forest: World) -> None:
+    """So the way back is as wide as the way there."""
+    meter = DifficultyMeter(forest.places[0])
+    there, back = [], []
+    for number in range(40):
+        task = forest.sample_task(np.random.default_rng(number))
+        there.append(meter.measure(task.start, task.goal))
+        back.append(meter.measure(task.goal, task.start))
+    np.testing.assert_allclose(np.array(there, float), np.array(back, float), rtol=1e-9)
+    (place,) = World(SCREEN).places
+    fits = np.ones((40, 40), bool)
+    fits[14:26, 24] = False  # beside the straight way
+    meter = DifficultyMeter(replace(place, fits=fits, corner=np.array([-5.0, -5.0]), origin=np.zeros(2)))
+    ends = np.array([[-4.0, 0.5], [4.0, -0.5]])
+    one, other = meter.measure(*ends), meter.measure(*ends[::-1])
+    assert one is not None and other is not None and one.detour == pytest.approx(1.0, abs=1e-9)
+    assert one.spacing == pytest.approx(other.spacing)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [

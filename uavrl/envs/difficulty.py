@@ -11,6 +11,7 @@ from uavrl.envs.tasks import CELL, Task
 from uavrl.envs.world import World
 
 WIDEST = 10.0  # m, largest width that is told apart
+NARROW = 1e-6  # more that a narrow cell costs, as a share of its length: it decides among equally short ways only
 
 
 class Difficulty(NamedTuple):
@@ -18,7 +19,7 @@ class Difficulty(NamedTuple):
 
     Attributes:
         spacing: Mean width of the free space along the shortest way in m, at most 10: twice the distance at the flight
-            level to where a ball of ``uav_radius`` does not fit, and that ball.
+            level to where a ball of ``uav_radius`` does not fit, and that ball. Of equally short ways it is the widest.
         detour: Length of the shortest way over that of the way without any obstacle; 1 or more.
     """
 
@@ -38,7 +39,7 @@ class DifficultyMeter:
     """
 
     def __init__(self, place: Place) -> None:
-        self._map = LevelMap(place)
+        self._map = LevelMap(place, comfort=WIDEST / 2 - place.config.uav_radius, crowded=NARROW)
 
     def measure(self, start: np.ndarray, goal: np.ndarray) -> Difficulty | None:
         """Measures one task.
@@ -54,14 +55,15 @@ class DifficultyMeter:
         (dx, dy) = np.abs(cells[0] - cells[1]) * CELL
         straight = float(max(dx, dy) + (2**0.5 - 1) * min(dx, dy))
         ways = self._map.ways_to(cells[1])
-        length = float(ways.lengths[self._map.number(cells[0])])
-        if not np.isfinite(length) or straight == 0:
+        if not np.isfinite(ways.lengths[self._map.number(cells[0])]) or straight == 0:
             return None
         way = [int(self._map.number(cells[0]))]
         while ways.ahead[way[-1]] >= 0:
             way.append(int(ways.ahead[way[-1]]))
         widths = self._map.width.ravel()[way].clip(max=WIDEST)
-        return Difficulty(float(widths.mean()), max(1.0, length / straight))
+        steps = CELL * np.linalg.norm(np.diff(np.unravel_index(way, self._map.shape)), axis=0)
+        spacing = float(steps @ (widths[1:] + widths[:-1]) / 2 / steps.sum())
+        return Difficulty(spacing, max(1.0, float(steps.sum()) / straight))
 
 
 def measure_tasks(world: World, tasks: Sequence[Task]) -> list[Difficulty | None]:
