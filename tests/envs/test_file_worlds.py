@@ -137,7 +137,15 @@ def test_no_file_of_the_kind(tmp_path: Path, points: np.ndarray, site: trimesh.T
     (tmp_path / "a.txt").write_text("a")
     refused(lambda: MeshConfig(file=str(tmp_path / "a.txt")), "is no STL, OBJ, PLY, GLB, by its name: convert it")
     refused(lambda: MeshConfig(file=str(write_cloud(points, tmp_path / "a.pcd"))), "env=cloud reads point clouds")
-    refused(lambda: MeshConfig(file=str(write_cloud(points, tmp_path / "a.ply"))), "60,000 points and no triangles")
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 9 0 0\nv 9 9 0\n")
+    refused(
+        lambda: MeshConfig(file=str(write_cloud(points, tmp_path / "a.ply"))),
+        "60,000 points and no triangles: for a point cloud, use env=cloud",
+    )
+    refused(
+        lambda: MeshConfig(file=str(tmp_path / "a.obj")),
+        "3 points and no triangles: for a point cloud, convert it to PLY or XYZ, and use env=cloud",
+    )
     refused(lambda: CloudConfig(file=str(write_mesh(site, tmp_path / "b.ply"))), "36 triangles, .* use env=mesh")
     (tmp_path / "c.stl").touch()
     refused(lambda: MeshConfig(file=str(tmp_path / "c.stl")), "is empty: wait until it is written")
@@ -387,6 +395,21 @@ def test_files_without_extent_and_points_far_outside(points: np.ndarray, tmp_pat
         shape_file.to_metres(np.vstack([points, [[1e6, 0, 0]]]), tmp_path, 1.0, "z")
     with pytest.raises(UavrlError, match=r"env\.world\.scale=0\.001; at most 5,000 m"):
         shape_file.to_metres(points * 1000, tmp_path, 1.0, "z")
+
+
+@pytest.mark.parametrize(
+    ("offset", "kind", "step"),
+    [(5e6, np.float32, "0.5"), (3e5, np.float32, "0.031"), (9e4, np.float32, None), (5e6, np.float64, None)],
+)
+def test_of_rounded_coordinates_is_warned(
+    offset: float, kind: type, step: str | None, points: np.ndarray, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    far = (points + np.array([0, offset, 0])).astype(kind).astype(np.float64)
+    shape_file.to_metres(far, tmp_path, 1.0, "z")
+    if step is None:
+        assert not caplog.records
+    else:
+        assert f"steps of {step} m: export them as doubles, or move the origin near the site" in caplog.text
 
 
 @pytest.mark.parametrize(

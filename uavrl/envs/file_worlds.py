@@ -54,8 +54,9 @@ class FileWorld(WorldRules):
         up: The file's axis that points up: x, y or z. None: y for GLB, as its standard says, and z for all others.
         floor: Height of the floor in the file, in m. None: the median height of the lowest surfaces, or, in a solid
             such as a block of terrain with a base, of the lowest surfaces that face up.
-        size: Extent along x and y, in m, of the part to fly in; None: all.
-        centre: Middle of that part in the file's x and y, in m, with z up; None: the middle of the file.
+        size: Extent in m of the part to fly in, along the same axes as ``centre``; None: all.
+        centre: Middle of that part in m, along the file's x and y, y and z with ``up="x"``, or z and x with ``up="y"``.
+            None: the middle of the file.
         **kwargs: As in :class:`uavrl.envs.rules.WorldRules`.
     """
 
@@ -200,7 +201,8 @@ class MeshConfig(FileWorld):
         """The mesh's triangles."""
         points, triangles = read_file(path, self.scale)
         if not len(triangles):
-            instead = "env=cloud reads point clouds" if len(points) else "name another file"
+            clouds = "use env=cloud" if path.suffix.lower() in CLOUDS else "convert it to PLY or XYZ, and use env=cloud"
+            instead = f"for a point cloud, {clouds}" if len(points) else "name another file"
             raise UavrlError(f"{path} has {len(points):,} points and no triangles: {instead}.")
         if triangles.min() < 0 or triangles.max() >= len(points):
             raise UavrlError(f"{path} has triangles whose corners are not in it: export it again.")

@@ -1,5 +1,6 @@
 """A file of a user's: found, read safely, brought to metres with z up, or refused in a sentence."""
 
+import logging
 import math
 import os
 import subprocess
@@ -16,12 +17,14 @@ from uavrl.envs.array_file import load_npy
 from uavrl.envs.polygons import OPENING
 from uavrl.errors import MissingExtra, UavrlError
 
+log = logging.getLogger(__name__)
 Up = Literal["x", "y", "z"]
 MOST_BYTES = 2**30  # of a file
 MOST_MEMORY = 8 * 2**30  # that reading may take
 PATIENCE = 600.0  # s, for reading
 SETTLED = 2.0  # s, since the last change of a file that nobody writes any more
 LARGEST_EXTENT, LEAST_EXTENT = 5000.0, 3.0  # m
+COARSE = 0.02  # m, step of rounded coordinates from which on it is told
 TURNED: dict[Up, tuple[int, int, int]] = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}  # the file's axes, z up
 COLUMN = 1.0  # m, side of the columns in which surfaces lie above each other
 FACES = 0.1  # least z of the unit normal of a surface that faces up: a wall does not
@@ -131,7 +134,7 @@ def _refused(path: Path, reason: str) -> UavrlError:
 
 
 def to_metres(points: np.ndarray, path: Path, scale: float, up: Up) -> np.ndarray:
-    """The points ``[P, 3]`` in metres with z up; refuses sizes that no place has."""
+    """The points ``[P, 3]`` in metres with z up; refuses sizes that no place has, and warns of rounded coordinates."""
     turned = points[:, TURNED[up]] * scale
     extent = np.ptp(turned, axis=0)
     told = " × ".join(f"{length:,.0f}" if length >= 10 else f"{length:.2g}" for length in extent)
@@ -146,6 +149,14 @@ def to_metres(points: np.ndarray, path: Path, scale: float, up: Up) -> np.ndarra
         )
     if extent[:2].max() < LEAST_EXTENT:
         raise UavrlError(f"{path} is only {told} m: give the factor to metres by env.world.scale.")
+    step = float(np.spacing(np.float32(np.abs(points).max()))) * scale
+    if step > COARSE and (points.astype(np.float32) == points).all():
+        log.warning(
+            "%s has coordinates far from its origin as 32-bit floats, which rounds them to steps of %.2g m: export "
+            "them as doubles, or move the origin near the site.",
+            path,
+            step,
+        )
     return turned
 
 
