@@ -17,6 +17,7 @@ from uavrl.cli import evaluate as evaluate_command
 from uavrl.cli import replay as replay_command
 from uavrl.cli.suite import _changed
 from uavrl.config import EvaluateConfig, compose, validate
+from uavrl.evaluation import environment
 from uavrl.evaluation.policy_setup import choose
 from uavrl.evaluation.recording import load_recording
 from uavrl_onboard.guards.settings import GuardSettings
@@ -85,6 +86,33 @@ def test_a_suite_sees_that_it_was_exported_anew(folder: Path) -> None:
     settings = validate(compose(f"policy={folder}", name="evaluate"), EvaluateConfig)
     os.utime(folder / "contract.json", (5, 5))
     assert _changed(settings) == 5
+
+
+@pytest.mark.parametrize("key", ["policy", "run"])
+def test_guards_keep_its_limit_in_a_faster_environment(
+    key: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits, made = [], environment.guarded
+
+    def noted(*arguments: Any) -> Any:
+        around = made(*arguments)
+        limits.append(around.vehicle.velocity_limit)
+        return around
+
+    monkeypatch.setattr(environment, "guarded", noted)
+    evaluation(tmp_path / "fast.json", f"{key}={folder}", "env.max_speed=6", "guards=[evasion]")
+    assert limits == [2.0]
+
+
+def test_a_tilted_lidar_of_ones_own_is_that_of_the_training(tmp_path: Path) -> None:
+    """It does not see all that lies between its lowest and its highest ray."""
+    lidar = tmp_path / "tilted.yaml"
+    lidar.write_text("like: mid360\nmount: [0, 20, 0]\n")
+    folder = exported(tmp_path, "algo.hidden=[16]", *CELLS, f"env.lidar={lidar}")
+    ours = evaluation(tmp_path / "policy.json", f"policy={folder}", f"env.lidar={lidar}")
+    theirs = evaluation(tmp_path / "run.json", f"run={folder}")
+    assert ours["unseen_cells"] == theirs["unseen_cells"] == 0
+    assert ours["outcomes"] == theirs["outcomes"]
 
 
 def test_what_cannot_be_flown_ends_in_a_sentence(folder: Path, tmp_path: Path, refused: Refused) -> None:

@@ -101,6 +101,19 @@ def test_a_sensor_that_looks_backwards_has_a_field_of_view_there(
     assert sensor_of_view("known", sensor.field_of_view).field_of_view == pytest.approx(sensor.field_of_view, abs=0.11)
 
 
+@pytest.mark.parametrize("name", ["vlp16", "os0_32", "mid360", "rplidar"])
+def test_a_tilted_lidar_does_not_see_the_same_on_all_sides(name: str) -> None:
+    level = [(0, 0, 0), (180, 0, 0), (0, 0, 90), (4, 0, 0), (180, -4, 30)]
+    tilted = [(0, 20, 0), (0, 45, 0), (0, 70, 0), (0, 85, 0), (0, 90, 0), (90, 0, 0), (180, 20, 0), (6, 0, 0)]
+    for mount in (*level, *tilted):
+        assert looks_around(lidar_sensor({"like": name, "mount": mount})) == (mount in level), mount
+
+
+def test_slow_vehicles_turn_as_their_environment_allows() -> None:
+    base = NavigationEnv(1, world=SMALL, lidar={"max_range": 4.0, "far_range": 12.0}, max_speed=1.0)
+    assert guarded(base, guard_settings("all")).vehicle.yaw_rate_limit == base.action_spec.space.high.max() == 1.0
+
+
 def test_a_lidar_of_one_layer_flies_with_all_guards() -> None:
     base = env(sensor="rplidar", far_range=12.0)
     flown = TransformedEnv(base, guarded(base, guard_settings("all"))).rollout(3)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tests.helpers.folders import ROOT
 from tests.helpers.scenes import box, clutter, poses
 from uavrl.envs import Lidar, LidarConfig, LidarSensor, NavigationEnv
-from uavrl.envs.sensors import SENSORS, lidar_sensor
+from uavrl.envs.sensors import SENSORS, lidar_sensor, sensor_of_view
 from uavrl.envs.vehicle_params import VehicleParams
 from uavrl.errors import UavrlError
 from uavrl_onboard.perception.motion.rays import far_ray_indices
@@ -137,6 +137,21 @@ def test_with_a_stride_the_rays_of_a_scan_are_spread_over_the_next_scans(name: s
     assert sparse.num_rays * stride == whole.num_rays
     assert len(sparse.rays.directions) == stride * len(whole.rays.directions)
     assert sparse.rays.times.shape == (sparse.num_rays,)
+
+
+def test_with_a_stride_a_scan_of_the_mid360_keeps_its_four_beams() -> None:
+    whole = SENSORS["mid360"].rays.directions[0].reshape(-1, 4, 3)
+    sparse = replace(SENSORS["mid360"], stride=4).rays.directions
+    np.testing.assert_array_equal(sparse[0], whole[::4].reshape(-1, 3))
+    np.testing.assert_array_equal(sparse[1], whole[1::4].reshape(-1, 3))
+
+
+def test_a_ray_that_is_steep_has_no_azimuth() -> None:
+    for mount in ((0.0, 90.0, 0.0), (90.0, 0.0, 0.0)):
+        right, left, low, high = replace(SENSORS["rplidar"], mount=mount).field_of_view
+        assert (low, high) == (-90.0, 90.0) and left - right in (180.0, 360.0)
+    for view in ((0.0, 0.0, -10.0, 10.0), (30.0, 30.0, 0.0, 0.0)):
+        assert sensor_of_view("line", view).field_of_view == pytest.approx(view, abs=0.11)
 
 
 @pytest.mark.parametrize("stride", [2, 4, 5])
@@ -301,11 +316,14 @@ def test_what_is_no_sensor_is_refused_in_a_sentence(tmp_path: Path) -> None:
         (("mount", [180, 0]), r"mount must be roll, pitch and yaw in degrees, .* from -180 to 180; got \[180, 0\]"),
         (("mount", [3.1416, 0, 0]), r"3.1416 looks like radians"),
         (("like", "mid306"), r"like must be one of vlp16, .*, got 'mid306': did you mean mid360"),
+        ({"like": "mid360", "rate": 20}, r"A LiDAR like mid360 has its rate, which its rays depend on: leave rate out"),
+        ({"like": "vlp16", "rate": 20}, r"A LiDAR like vlp16 has its rate"),
+        (("like", "./mine.yaml"), r"got './mine.yaml': choose one of them, or leave like out"),
         (("like", "mid360"), r"A LiDAR like mid360 has its rays: leave elevations and azimuth_steps out"),
     ]
     for given, told in refused:
         with pytest.raises(UavrlError, match=told):
-            lidar_sensor(given if isinstance(given, str) else {**grid, given[0]: given[1]})
+            lidar_sensor(given if isinstance(given, str | dict) else {**grid, given[0]: given[1]})
     for path, told in {
         str(tmp_path / "none.npy"): r"cannot be read \(No such file or directory\): name a file that",
         str(tmp_path / "rays.bin"): r"must be a .csv, .txt or .npy file",

@@ -77,7 +77,7 @@ class SitlConfig:
         sensor = "one that reads a LiDAR, such as truncated_icosahedron: its perception.lidar is the vehicle's sensor"
         require(self.perception.get("_target_") is not None, "perception", sensor, self.choices.get("perception"))
         device = self.perception.lidar.device
-        if not by_ros and replace(device, name="vlp16", mount=UPRIGHT) != SENSORS["vlp16"]:
+        if not by_ros and (device.pattern, device.stride) != ("vlp16", 1):
             raise UavrlError(
                 f"By UDP, uavrl-sitl sends the data packets of a Velodyne VLP-16, and the LiDAR {device.name} has "
                 "none: publish its point clouds with lidar=ros2:///points, which uavrl-fly reads from the same address."

@@ -12,9 +12,10 @@ from uavrl.envs.sensors import LidarSensor
 from uavrl.errors import UavrlError
 from uavrl.transforms.guarded import Guarded
 from uavrl_onboard.guards.settings import GuardSettings
-from uavrl_onboard.lidar.mount import TILTED
+from uavrl_onboard.lidar.mount import TILTED, UPRIGHT, mount_tilt
 
 _SECTORS = 12  # of the horizon, whose lowest and highest rays are compared
+_SCANS = 5  # of a pattern that changes
 
 log = logging.getLogger(__name__)
 
@@ -43,9 +44,10 @@ def looks_around(device: LidarSensor) -> bool:
         >>> looks_around(replace(SENSORS["mid360"], mount=(0, 20, 0)))  # tilted forward
         False
     """
-    if device.field_of_view[:2] != (-180.0, 180.0):
+    level = replace(device, mount=UPRIGHT)
+    if mount_tilt(device.mount) > TILTED or level.field_of_view[:2] != (-180.0, 180.0):
         return False
-    x, y, z = device.rays.directions.reshape(-1, 3).astype(float).T
+    x, y, z = level.rays.directions[:_SCANS].reshape(-1, 3).astype(float).T
     sector = np.floor(np.arctan2(y, x) / (math.tau / _SECTORS)).astype(int) % _SECTORS
     elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
     lowest, highest = np.full(_SECTORS, np.inf), np.full(_SECTORS, -np.inf)

@@ -115,6 +115,7 @@ class Airframe:
             height=self.collision_height,
             lidar_position=self.lidar_position,
             velocity_limit=max_speed,
+            yaw_rate_limit=min(max_speed, VEHICLE.yaw_rate_limit),  # as the environment's actions have it
             flight_level=flight_level,
         )
 

@@ -28,6 +28,7 @@ LEAST_RATE = 10.0  # Hz, at which policies act: a slower sensor would show them 
 MOST_RAYS = 300_000  # of a scan
 MOST_SCANS = 200  # of a pattern
 LONGEST_STRIDE = 50
+STEEPEST = 89.9  # degrees: the azimuth of a ray that is steeper is rounding
 _LARGEST_FILE = 2**28  # bytes
 
 
@@ -186,7 +187,8 @@ class LidarSensor:
         """
         x, y, z = self.rays.directions.reshape(-1, 3).astype(float).T
         azimuth, elevation = np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
-        around = np.sort(azimuth)
+        aside = np.abs(elevation) < STEEPEST
+        around = np.sort(azimuth[aside] if aside.any() else azimuth)
         gaps = np.diff(around, append=around[0] + 360)
         usual = np.median(gaps[gaps > 0.01]) if (gaps > 0.01).any() else 0.0
         sides = -180.0, 180.0
@@ -314,15 +316,18 @@ def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
 def _variant(like: str, values: dict[str, Any]) -> LidarSensor:
     """A sensor of ours with other values."""
     if like not in SENSORS:
+        own = "choose one of them, or leave like out and describe all of the sensor."
         raise UavrlError(
             f"The LiDAR's like must be one of {', '.join(SENSORS)}, got {like!r}"
-            f"{did_you_mean(like, SENSORS, ': ', 'or leave it out and describe all of the sensor.')}"
+            f"{did_you_mean(like, SENSORS, ': ', own)}"
         )
     known = SENSORS[like]
     own = ("elevations", "azimuth_steps", "azimuth") if known.pattern != "grid" else ()
     fixed = [key for key in (*own, "directions") if key in values]
     if fixed:
         raise UavrlError(f"A LiDAR like {like} has its rays: leave {' and '.join(fixed)} out, or leave like out.")
+    if "rate" in values and known.pattern != "grid":
+        raise UavrlError(f"A LiDAR like {like} has its rate, which its rays depend on: leave rate out.")
     return replace(known, **{"name": "own"} | values)
 
 
@@ -335,8 +340,8 @@ def sensor_of_view(name: str, view: View) -> LidarSensor:
     """
     right, left, low, high = view
     elevations = tuple(np.linspace(low, high, math.ceil(high - low) + 1).tolist())
-    steps, middle = max(1, math.ceil(left - right)), (right + left) / 2
-    ahead = (right - middle, left - middle)  # as one that looks ahead, and is turned
+    steps, middle, half = max(1, math.ceil(left - right)), (right + left) / 2, max((left - right) / 2, 0.05)
+    ahead = (-half, half)  # as one that looks ahead, and is turned
     around = ahead if left - right < 360.0 else (-180.0, 180.0)
     mount = UPRIGHT if middle == 0.0 else (0.0, 0.0, math.remainder(middle, 360.0))
     return LidarSensor(name, elevations, steps, around, mount=mount)
@@ -417,9 +422,10 @@ def _mid360(period: float) -> SensorRays:
     beams = np.array(_MID360_BEAMS)[count % len(_MID360_BEAMS)] * (1.0 + _MID360_WIDENED * swept)
     elevation = middle + by_cosine * swept + by_square * swept**2 + beams * np.cos(azimuth)
     elevation = np.interp(elevation, [elevation.min(), elevation.max()], _MID360_ELEVATION)  # as the manual has it
-    clockwise, shape = -azimuth % math.tau, (_MID360_SCANS, _MID360_RAYS)
-    towards = _towards(clockwise, np.radians(elevation))
-    return SensorRays(towards.reshape(*shape, 3), times[:_MID360_RAYS], clockwise.reshape(shape))
+    clockwise = -azimuth % math.tau
+    towards = _towards(clockwise, np.radians(elevation)).reshape(_MID360_SCANS, _MID360_RAYS, 3)
+    groups = clockwise.reshape(_MID360_SCANS, -1, len(_MID360_BEAMS))[..., 0]  # of which a stride keeps all beams
+    return SensorRays(towards, times[:_MID360_RAYS], groups)
 
 
 def _d435() -> SensorRays:

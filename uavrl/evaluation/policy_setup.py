@@ -132,7 +132,10 @@ def _in_view(chosen: PolicySetup, settings: FlyingConfig, policy: TensorDictPoli
 
 
 def _own_sensor(name: str, flown: LidarSensor, settings: FlyingConfig) -> LidarSensor:
-    """Return what is known of the LiDAR of one's own that a policy was trained with: all of its field of view."""
+    """Return what is known of the LiDAR of one's own that a policy was trained with.
+
+    That is the LiDAR that flies if it has its name and its field of view, and else one that sees all of this.
+    """
     folder = Path(str(settings.policy)).expanduser()
     if flown.name != name and not settings.allow_unseen:
         kept = f"write run={settings.policy}, which has them, " if (folder / "config.yaml").is_file() else ""
@@ -143,7 +146,8 @@ def _own_sensor(name: str, flown: LidarSensor, settings: FlyingConfig) -> LidarS
         )
     lidar = read_contract(folder).cloud.lidar
     assert lidar is not None, "else the policy was trained with a VLP-16"
-    return sensor_of_view(name, lidar.field_of_view)
+    same = (flown.name, flown.field_of_view, flown.repeats) == (name, lidar.field_of_view, lidar.repeats)
+    return flown if same else sensor_of_view(name, lidar.field_of_view)
 
 
 def _guarded(

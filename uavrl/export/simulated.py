@@ -77,8 +77,7 @@ class ExportedPolicy:
         if name != "vlp16":
             perception["lidar.sensor"] = name  # of somebody's own, whose rays are not in the contract, a command asks
         velocity_limit = terms.action.high[0]
-        if velocity_limit != VEHICLE.velocity_limit:
-            perception["max_speed"] = velocity_limit
+        perception["max_speed"] = velocity_limit  # its own, whatever that of the environment is
         sensor: dict[str, Any] = {"env.airframe.lidar_position": list(terms.cloud.sensor_position)}
         if velocity_limit != VEHICLE.velocity_limit:
             sensor["env.max_speed"] = velocity_limit

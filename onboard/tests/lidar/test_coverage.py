@@ -12,6 +12,8 @@ from onboard.tests.flight.test_loop import Rig
 from uavrl_onboard.flight.safety import Reason, SafetyState
 from uavrl_onboard.geometry import Columns
 from uavrl_onboard.lidar.coverage import EMPTY, WATCHED, Coverage, Doubt, degrees_of
+from uavrl_onboard.lidar.mount import mount_rotation
+from uavrl_onboard.lidar.vlp16 import firing_directions
 
 AZIMUTHS = np.radians(np.arange(0.1, 360.0, 0.4))
 
@@ -252,6 +254,20 @@ def test_returns_at_one_elevation_are_those_of_a_single_layer(
     assert last is not None and (last.kind, last.certain) == ("half_scan", True)
     assert last.sentence.startswith("all returns lie at the same elevation, and the sensor should see from ")
     assert "is it a 2-D LiDAR (hull.elevations=[0,0])?" in last.sentence
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_open_ground_that_a_tilted_lidar_sees_on_one_side_is_no_window(level: bool) -> None:
+    """A VLP-16 that is tilted forward by 20 degrees sees no ground behind it."""
+    rays = firing_directions().astype(float) @ mount_rotation((0.0, 20.0, 0.0)).T
+    down = rays[rays[:, 2] < -0.02]
+    ground = down * (3.0 / -down[:, 2:])
+    ground = ground[np.linalg.norm(ground, axis=1) < 30.0]
+    coverage, yaw = Coverage(level=level), 0.0
+    for _ in range(3 * WATCHED):
+        doubt, yaw = coverage.add(ground, yaw), yaw + 0.05
+    assert doubt is not None and doubt.certain == level
+    assert ("is nothing in range there, or" in doubt.sentence) == (not level)
 
 
 def test_a_single_scan_with_several_elevations_answers_for_good() -> None:

@@ -236,8 +236,8 @@ def make_guards(settings: FlyConfig, policy: Policy) -> Guards:
     """Return the guards of a flight: those of the command line, or else of the policy's contract."""
     chosen = guard_settings(settings.guards, policy.contract.guard_settings)
     if (tilt := mount_tilt(settings.mount)) > TILTED:
-        told = f"mount={list(settings.mount)} tilts the LiDAR by {tilt:.0f} degrees, so that what stands still behind"
-        why = "its field of view would seem to move when the vehicle turns"
+        told = f"mount={list(settings.mount)} tilts the LiDAR by {tilt:.0f} degrees, so static obstacles at the edge of"
+        why = "its field of view seem to move when the vehicle turns"
         if policy.contract.motion is not None:
             raise UavrlError(f"{told} {why}: this policy looks for moving objects, so mount the LiDAR level.")
         if chosen.evasion is not None:

@@ -18,7 +18,7 @@ from uavrl_onboard.cli.lidar_keys import LidarKeys
 from uavrl_onboard.errors import Stopped, UavrlError
 from uavrl_onboard.files import replacing, writable
 from uavrl_onboard.lidar.coverage import Coverage
-from uavrl_onboard.lidar.mount import turned
+from uavrl_onboard.lidar.mount import TILTED, mount_tilt, turned
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import ScanSource, without_vehicle
 from uavrl_onboard.lidar.summary import ScanSummary
@@ -92,7 +92,7 @@ def main(settings: ScanConfig) -> None:
         kept = source.kind == "udp" or Path(source.source).resolve() not in (path.resolve(), *path.resolve().parents)
         require(kept, key, "another file than the source, which it would replace", str(path))
     files = {key: writable(path, f"{key}=FILE") for key, path in paths.items()}
-    summary, coverage, stopped = ScanSummary(), Coverage(), False
+    summary, coverage, stopped = ScanSummary(), Coverage(level=mount_tilt(settings.mount) <= TILTED), False
     try:
         for scan in _shown(source, settings, coverage):
             summary.add(scan)

@@ -24,7 +24,7 @@ from uavrl_onboard.geometry import Columns
 from uavrl_onboard.guards.chain import Guards
 from uavrl_onboard.guards.protocol import Situation
 from uavrl_onboard.lidar.coverage import Coverage, Doubt
-from uavrl_onboard.lidar.mount import turned
+from uavrl_onboard.lidar.mount import TILTED, rotation_tilt, turned
 from uavrl_onboard.lidar.scans import Scan
 from uavrl_onboard.lidar.sources import without_vehicle
 
@@ -96,7 +96,8 @@ class Flight:
         self._guards = Guards(contract.guard_settings, 1, contract.vehicle) if guards is None else guards
         lidar = contract.cloud.lidar
         sides = (-180.0, 180.0) if lidar is None else lidar.field_of_view[:2]
-        self._coverage = Coverage(sides, self._guards.vehicle.lidar_elevations)
+        level = rotation is None or rotation_tilt(rotation) <= TILTED
+        self._coverage = Coverage(sides, self._guards.vehicle.lidar_elevations, level)
         self._poses, self._motion, self._moves = PoseCheck(), ScanMotion(), moves
         self.doubt: Doubt | None = None
         self._jumped = -math.inf  # stamp of the latest pose that jumped

@@ -69,6 +69,7 @@ class Coverage:
         sides: the right and the left border of the sensor's field of view in degrees; what lies beside it is never
             missed.
         elevations: its lowest and its highest ray in degrees; None where nobody says, and no elevation is missed.
+        level: whether it looks equally far down on all sides. Where it does not, open ground is not seen on one side.
 
     Examples:
         >>> coverage, nothing = Coverage(), np.full((100, 3), np.nan)
@@ -77,9 +78,13 @@ class Coverage:
     """
 
     def __init__(
-        self, sides: tuple[float, float] = (-180.0, 180.0), elevations: tuple[float, float] | None = None
+        self,
+        sides: tuple[float, float] = (-180.0, 180.0),
+        elevations: tuple[float, float] | None = None,
+        level: bool = True,
     ) -> None:
         right, left = sides
+        self._level = level
         self._elevations = elevations
         self._lowest, self._highest = math.inf, -math.inf  # sines of the elevations of all returns
         from_right = (np.arange(360) + 0.5 - right) % 360.0
@@ -202,7 +207,7 @@ class Coverage:
         if not is_sharp or whole.mean() < _FILLED:
             return None
         aligned = all(abs(math.remainder(edge, 90)) <= _ALIGNED for edge in (start, start + length))
-        certain = aligned or self._turned >= TURNED
+        certain = self._level and (aligned or self._turned >= TURNED)
         where = f"no return has ever come {_between(start, length)}"
         cause = "does the driver's window cut it off?"
         return Doubt("half_scan", f"{where}: {cause if certain else f'is nothing in range there, or {cause}'}", certain)

@@ -55,10 +55,15 @@ def mount_tilt(mount: Sequence[float]) -> float:
         >>> [round(mount_tilt(mount), 6) for mount in ((180.0, 0.0, 30.0), (0.0, 25.0, 0.0), (180.0, -25.0, 0.0))]
         [0.0, 25.0, 25.0]
     """
-    return math.degrees(math.acos(min(abs(float(mount_rotation(mount)[2, 2])), 1.0)))
+    return rotation_tilt(mount_rotation(mount))
+
+
+def rotation_tilt(rotation: np.ndarray) -> float:
+    """Return the same of a rotation ``[3, 3]``."""
+    return math.degrees(math.acos(min(abs(float(rotation[2, 2])), 1.0)))
 
 
 def turned(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Return points ``[P, 3]`` in other axes, of the same type; what is no number stays none."""
+    """Return points ``[P, 3]`` in other axes, of the same type; NaN stays NaN."""
     with np.errstate(invalid="ignore"):  # infinite coordinates of misses become NaN
         return np.asarray(points @ rotation.T.astype(points.dtype))
