@@ -131,8 +131,8 @@ def _warn_short(perception: Mapping[str, Any], flown: LidarConfig, trained_with:
     radius = perception.get("radius")
     if isinstance(radius, int | float) and flown.reach < min(float(radius), trained_with.max_range):
         log.warning(
-            "The LiDAR %s reaches %g m, and the policy reads its cells up to %g m: obstacles that are farther away read "
-            "as free.",
+            "The LiDAR %s reaches %g m, and the policy reads its cells up to %g m: obstacles that are farther away "
+            "read as free.",
             flown.device.name,
             flown.reach,
             radius,
