@@ -316,10 +316,10 @@ def _of_settings(settings: Mapping[Any, Any]) -> LidarSensor:
 def _variant(like: str, values: dict[str, Any]) -> LidarSensor:
     """A sensor of ours with other values."""
     if like not in SENSORS:
-        own = "choose one of them, or leave like out and describe all of the sensor."
+        advice = "choose one of them, or leave like out and describe all of the sensor."
         raise UavrlError(
             f"The LiDAR's like must be one of {', '.join(SENSORS)}, got {like!r}"
-            f"{did_you_mean(like, SENSORS, ': ', own)}"
+            f"{did_you_mean(like, SENSORS, ': ', advice)}"
         )
     known = SENSORS[like]
     own = ("elevations", "azimuth_steps", "azimuth") if known.pattern != "grid" else ()

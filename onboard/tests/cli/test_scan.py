@@ -52,6 +52,17 @@ def test_points_on_the_vehicle_are_left_out(tmp_path: Path) -> None:
     assert not (tmp_path / "scan.html").exists()
 
 
+def test_a_flight_log_is_not_turned_once_more(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    types = store(False)
+    points = np.array([[3.0, 0.0, 0.0], [0.0, 2.0, 0.0]], np.float32)
+    for topic, code in (("/uavrl/points", 1), ("/points", 0)):
+        bag = write_bag(
+            tmp_path / topic[1:].replace("/", "_"), "mcap", {topic: (CLOUD, [cloud_message(types, points)])}
+        )
+        assert in_process(scan.main, f"source={bag}", "output=null", "mount=[0,0,90]") == code
+    assert "mount must be left out for a flight log, whose points are in the vehicle's axes" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("mount", "open_side"),
     [

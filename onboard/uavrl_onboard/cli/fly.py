@@ -266,6 +266,7 @@ def _cycles(settings: FlyConfig, flight: Flight, link: VehicleLink, opened: Exit
     if not settings.is_live:
         keys = {key: getattr(settings, key) for key in ("topic", "product", "metadata")}
         source = ScanSource(settings.lidar, settings.model, **keys)
+        settings.require_unturned(source)
         opened.callback(_tell_skipped, source)
         return _with_health(rehearse(flight, source, link), FlightHealth(lambda: "", 1.0 / flight.period))
     feed = opened.enter_context(closing(open_feed(settings, link)))

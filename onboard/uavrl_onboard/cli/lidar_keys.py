@@ -6,7 +6,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
+from uavrl_onboard.flight.log_messages import POINTS
 from uavrl_onboard.lidar.mount import UPRIGHT, mount_rotation, mount_trouble
+from uavrl_onboard.lidar.sources import ScanSource
 from uavrl_onboard.ranges import Folder, Text
 from uavrl_onboard.sentences import require
 
@@ -48,6 +50,12 @@ class LidarKeys:
         if self.vehicle is None or len(self.vehicle) != 6:
             return None
         return np.array(self.vehicle[:3]), np.array(self.vehicle[3:])
+
+    def require_unturned(self, source: ScanSource) -> None:
+        """Refuses to turn the points of a flight log once more."""
+        again = self.rotation is not None and source.topic is not None and source.topic.name == POINTS
+        told = "left out for a flight log, whose points are in the vehicle's axes"
+        require(not again, "mount", told, list(self.mount))
 
     @property
     def rotation(self) -> np.ndarray | None:

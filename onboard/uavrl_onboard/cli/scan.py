@@ -87,6 +87,7 @@ def main(settings: ScanConfig) -> None:
         seconds=settings.seconds,
         metadata=settings.metadata,
     )
+    settings.require_unturned(source)
     paths = {key: Path(getattr(settings, key)) for key in ("output", "json") if getattr(settings, key) is not None}
     for key, path in paths.items():
         kept = source.kind == "udp" or Path(source.source).resolve() not in (path.resolve(), *path.resolve().parents)
