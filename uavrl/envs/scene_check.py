@@ -39,7 +39,7 @@ def checked_scene(config: WorldRules, number: int) -> Scene:
         raise UavrlError(f"{name} must return a list of Solids, got {type(scene.obstacles).__name__}.")
     for index, obstacle in enumerate(scene.obstacles):
         _check_mesh(f"obstacle {index} that {name} returns", obstacle)
-    return scene._replace(size=size)
+    return Scene(scene.obstacles, size, *scene[2:])
 
 
 def _check_mesh(name: str, obstacle: object) -> None:
