@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.helpers.folders import ROOT
 from tests.helpers.recordings import CLOUD, store, write_bag
 
 from uavrl_onboard.lidar.sources import ScanSource
 
-DATA = ROOT / "tests" / "data" / "livox" / "kompass_2000_points.bin"
+DATA = Path(__file__).parents[3] / "tests" / "data" / "livox" / "kompass_2000_points.bin"
 LAYOUT = {  # of livox_ros_driver2: offset, NumPy's type, PointField's
     "x": (0, "<f4", 7),
     "y": (4, "<f4", 7),
