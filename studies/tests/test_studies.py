@@ -27,6 +27,7 @@ from tests.helpers.folders import episodes, evaluation, write_episodes
 from uavrl.buffers import backward_reward
 from uavrl.cli.export import main as export
 from uavrl.cli.train import main as train
+from uavrl.envs.sensors import SENSORS
 from uavrl.errors import UavrlError
 from uavrl.runs.provenance import commit
 from uavrl.training.run import create_run
@@ -439,3 +440,13 @@ def test_a_policy_flies_with_sensors_that_it_was_not_trained_with(said: Said, tm
 def test_no_phantom_moves_in_a_world_that_stands_still(said: Said) -> None:
     chosen = ("--worlds", "static", "--sensors", "mid360", "--vehicles", 1, "--steps", 6)
     assert "| `mid360` | 0 of 6 |" in said("phantom_motion", *chosen)
+
+
+def test_the_mid360_lies_as_its_own_rays_do(said: Said, tmp_path: Path) -> None:
+    """Every third ray hits nothing; the moment of the pattern is found."""
+    rays = 3.0 * SENSORS["mid360"].rays.directions.reshape(-1, 3)[41_000:42_000].astype("<f4")
+    rays[::3] = 0.0
+    fields = [{"name": axis, "offset": 4 * number} for number, axis in enumerate("xyz")]
+    message = {"fields": fields, "point_step": 12, "data": list(rays.tobytes())}
+    (tmp_path / "scan.json").write_text(json.dumps(message))
+    assert re.search(r"^\| scan\.json \| 666 \| 0\.00 \| ", said("mid360_pattern", tmp_path / "scan.json"), re.M)

@@ -42,7 +42,7 @@ def exported(folder: Path, *overrides: str) -> Path:
 
 
 def edit_contract(folder: Path, change: Callable[[dict[str, Any]], Any]) -> None:
-    terms = json.loads((folder / "contract.json").read_text())
+    terms = json.loads((folder / "contract.json").read_text(encoding="utf-8"))
     change(terms)
     terms.pop("sha256", None)
     (folder / "contract.json").write_text(json.dumps(terms))

@@ -16,7 +16,7 @@ from uavrl.config import TrainConfig, conf_dir, learner_name, validate
 
 EXPERIMENTS = sorted(path.stem for path in (conf_dir() / "experiment").glob("[ft]*_4_*.yaml"))  # the thesis's
 REWARD_PRESETS = sorted(path.stem for path in (conf_dir() / "reward_preset").glob("*.yaml"))
-THESIS = json.loads((files("uavrl.reporting") / "thesis.json").read_text())
+THESIS = json.loads((files("uavrl.reporting") / "thesis.json").read_text(encoding="utf-8"))
 REWARDS = {("traditional", "none"): "TR", ("navigation", "abr"): "ABR", ("navigation", "abr_plus"): "ABR⁺"}
 
 

@@ -3,41 +3,39 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import yaml
 
-from uavrl.envs.array_file import load_npy
 from uavrl.envs.limits import require_finite
+from uavrl.envs.ray_patterns import (
+    ALL_AROUND,
+    MOST_RAYS,
+    SensorRays,
+    d435_rays,
+    grid_rays,
+    mid360_rays,
+    mounted,
+    rays_in_turn,
+    read_directions,
+    strided,
+    vlp16_rays,
+)
 from uavrl.errors import UavrlError, did_you_mean
-from uavrl_onboard.geometry import spherical
-from uavrl_onboard.lidar.mount import UPRIGHT, mount_rotation, mount_trouble, turned
-from uavrl_onboard.lidar.vlp16 import AZIMUTH_STEP, AZIMUTH_STEPS, FIRING_TIMES, firing_directions
+from uavrl_onboard.lidar.mount import UPRIGHT, mount_trouble
 from uavrl_onboard.perception.view import View
 
 __all__ = ["SENSORS", "LidarSensor", "SensorRays", "lidar_sensor"]
 
 LEAST_RATE = 10.0  # Hz, at which policies act: a slower sensor would show them one scan twice
-MOST_RAYS = 300_000  # of a scan
-MOST_SCANS = 200  # of a pattern
 LONGEST_STRIDE = 50
 STEEPEST = 89.9  # degrees: the azimuth of a ray that is steeper is rounding
-_LARGEST_FILE = 2**28  # bytes
-
-
-class SensorRays(NamedTuple):
-    """The rays of S scans, after which a sensor repeats itself; S is 1 for most."""
-
-    directions: np.ndarray  #: ``float32 [S, R, 3]``, unit vectors in firing order: x forward, y left, z up
-    times: np.ndarray  #: ``float64 [R]``, s after the first ray
-    azimuths: np.ndarray  #: ``float64 [S, C]``, rad clockwise from straight ahead, of C groups of R / C rays in turn
 
 
 @dataclass(frozen=True)
@@ -59,8 +57,8 @@ class LidarSensor:
         blind_distance: Shortest range in m.
         range_noise: Standard deviation of the range error in m.
         stride: With n, a scan has only every n-th azimuth step, and the next scan those one step later. Steps at the
-            end of a turn that do not make n are left out. A sensor without steps has every n-th ray. Of a pattern of
-            several scans, the next one comes after n scans.
+            end of a turn that do not make n are left out. A sensor without steps has every n-th ray, and the Mid-360
+            every n-th group of its four beams. Of a pattern of several scans, the next one comes after n scans.
         mount: Roll, pitch and yaw of the sensor in the vehicle's axes in degrees, as ``rpy`` in a URDF: (180, 0, 0)
             hangs upside down, (0, 20, 0) looks forward and down. Its rays and points are in the vehicle's axes.
         pattern: How the rays are made; own sensors have a grid.
@@ -76,7 +74,7 @@ class LidarSensor:
     name: str = "own"
     elevations: tuple[float, ...] | None = None
     azimuth_steps: int | None = None
-    azimuth: tuple[float, float] = (-180.0, 180.0)
+    azimuth: tuple[float, float] = ALL_AROUND
     directions: str | None = None
     rate: float = 10.0
     max_range: float = 100.0
@@ -123,7 +121,7 @@ class LidarSensor:
         if (self.directions is None) == (self.elevations is None):
             raise UavrlError(f"The LiDAR {self.name!r} needs one kind of rays: {own}.")
         if self.elevations is None:
-            if self.azimuth_steps is not None or self.azimuth != (-180.0, 180.0):
+            if self.azimuth_steps is not None or self.azimuth != ALL_AROUND:
                 raise UavrlError(
                     f"The LiDAR {self.name!r} takes its rays from its file of directions: leave azimuth and "
                     "azimuth_steps out, or give elevations instead of directions."
@@ -191,7 +189,7 @@ class LidarSensor:
         around = np.sort(azimuth[aside] if aside.any() else azimuth)
         gaps = np.diff(around, append=around[0] + 360)
         usual = np.median(gaps[gaps > 0.01]) if (gaps > 0.01).any() else 0.0
-        sides = -180.0, 180.0
+        sides = ALL_AROUND
         if gaps.max() >= min(max(10.0, 1.5 * usual), 180.0):
             widest = int(gaps.argmax())  # the sensor looks from its left end to its right one
             right = float(around[(widest + 1) % len(around)])
@@ -227,8 +225,8 @@ SENSORS: Mapping[str, LidarSensor] = {
         LidarSensor("xt32", _spread(-16, 15, 32), 2000, max_range=120.0, blind_distance=0.05, range_noise=0.005),
         # Livox Mid-360 user manual v1.2: 360 x 59 degrees, 200,000 points/s, 40 m at 10 % reflectivity, blind up to
         # 0.1 m, range error 2 cm at 10 m and 3 cm at 0.2 m. The trajectory was fitted to scans of real ones
-        # (kompass-core's livox_pointcloud_sample_1.json, and two of QuintinUmi/mid360_hikcamera_calibration): within
-        # 1.1 degrees of elevation (standard deviation), and 3.9 at most.
+        # (kompass-core's livox_pointcloud_sample_1.json, and two of QuintinUmi/mid360_hikcamera_calibration), whose
+        # elevations are 0.9 to 1.6 degrees off (root mean square; studies/mid360_pattern.py).
         LidarSensor("mid360", pattern="rosette", max_range=40.0, blind_distance=0.1, range_noise=0.02),
         # Slamtec RPLIDAR S2 data sheet: one plane, 32,000 samples/s at 10 Hz, 0.05 to 30 m, accuracy 3 cm.
         LidarSensor("rplidar", (0.0,), 3200, max_range=30.0, blind_distance=0.05, range_noise=0.03),
@@ -238,14 +236,6 @@ SENSORS: Mapping[str, LidarSensor] = {
     )
 }
 """The sensors that ``env.lidar=NAME`` chooses."""
-
-_MID360_RAYS, _MID360_SCANS = 20_000, 40
-_MID360_TURNS, _MID360_SWEEPS = 181.3, 9.86  # per s: no whole numbers, so that no scan repeats the one before
-_MID360_ELEVATION = (-7.0, 52.0)
-_MID360_SWEEP = (19.6, 25.65, 2.4)  # degrees: of the middle, and by the cosine of the sweep and its square
-_MID360_BEAMS = (2.3, 0.6, -1.2, -2.9)  # degrees that each is off ahead; behind as much to the other side
-_MID360_WIDENED = 0.32  # how much farther apart they are at the top, and less far at the bottom
-_D435_PIXELS, _D435_HALF = (106, 60), (43.5, 29.0)  # columns and rows; degrees to the side and up
 
 
 def lidar_sensor(given: Any) -> LidarSensor:
@@ -342,7 +332,7 @@ def sensor_of_view(name: str, view: View) -> LidarSensor:
     elevations = tuple(np.linspace(low, high, math.ceil(high - low) + 1).tolist())
     steps, middle, half = max(1, math.ceil(left - right)), (right + left) / 2, max((left - right) / 2, 0.05)
     ahead = (-half, half)  # as one that looks ahead, and is turned
-    around = ahead if left - right < 360.0 else (-180.0, 180.0)
+    around = ahead if left - right < 360.0 else ALL_AROUND
     mount = UPRIGHT if middle == 0.0 else (0.0, 0.0, math.remainder(middle, 360.0))
     return LidarSensor(name, elevations, steps, around, mount=mount)
 
@@ -360,147 +350,22 @@ def rays_of(sensor: LidarSensor) -> SensorRays:
     """Return the rays of a sensor."""
     rays = _all_rays(sensor)
     if sensor.stride > 1:
-        rays = _strided(sensor.name, rays, sensor.stride)
+        rays = strided(sensor.name, rays, sensor.stride)
     if sensor.mount != UPRIGHT:
-        directions = turned(rays.directions, mount_rotation(sensor.mount))
-        rays = SensorRays(directions, rays.times, _clockwise(directions))
+        rays = mounted(rays, sensor.mount)
     for array in rays:
         array.setflags(write=False)
     return rays
 
 
-def _strided(name: str, rays: SensorRays, stride: int) -> SensorRays:
-    """Fire every n-th group of rays of one azimuth, and those one step later in the next scan."""
-    scans, groups = rays.azimuths.shape
-    if not (count := groups // stride):
-        raise UavrlError(
-            f"The LiDAR {name!r} has {groups} azimuth steps, fewer than its stride of {stride}: lower stride, or "
-            f"trainer.lidar_stride."
-        )
-    parts = rays.directions.reshape(scans, groups, -1, 3)[:, : count * stride].reshape(scans, count, stride, -1, 3)
-    directions = np.moveaxis(parts, 2, 1).reshape(scans * stride, -1, 3)
-    azimuths = np.moveaxis(rays.azimuths[:, : count * stride].reshape(scans, count, stride), 2, 1)
-    times = rays.times.reshape(groups, -1)[: count * stride : stride].ravel()
-    return SensorRays(np.ascontiguousarray(directions), times, azimuths.reshape(scans * stride, count))
-
-
 def _all_rays(sensor: LidarSensor) -> SensorRays:
     if sensor.pattern == "vlp16":
-        rays = SensorRays(firing_directions()[None], FIRING_TIMES, np.arange(AZIMUTH_STEPS)[None] * AZIMUTH_STEP)
-    elif sensor.pattern == "rosette":
-        rays = _mid360(1.0 / sensor.rate)
-    elif sensor.pattern == "camera":
-        rays = _d435()
-    elif sensor.directions is not None:
-        rays = _timed(_read(sensor.name, Path(sensor.directions)), 1.0 / sensor.rate)
-    else:
-        rays = _grid(sensor)
-    return rays
-
-
-def _grid(sensor: LidarSensor) -> SensorRays:
+        return vlp16_rays()
+    if sensor.pattern == "rosette":
+        return mid360_rays(1.0 / sensor.rate)
+    if sensor.pattern == "camera":
+        return d435_rays()
+    if sensor.directions is not None:
+        return rays_in_turn(read_directions(sensor.name, Path(sensor.directions)), 1.0 / sensor.rate)
     assert sensor.elevations is not None and sensor.azimuth_steps is not None
-    steps, (right, left) = sensor.azimuth_steps, np.radians(sensor.azimuth)
-    if sensor.azimuth == (-180.0, 180.0):
-        clockwise = np.arange(steps) * (math.tau / steps)
-    elif steps == 1:
-        clockwise = np.array([-(left + right) / 2])
-    else:
-        clockwise = np.linspace(-left, -right, steps)
-    elevation = np.radians(np.tile(sensor.elevations, steps))
-    times = np.repeat(np.arange(steps) / (steps * sensor.rate), len(sensor.elevations))
-    towards = _towards(np.repeat(clockwise, len(sensor.elevations)), elevation)
-    return SensorRays(towards[None], times, clockwise[None])
-
-
-def _mid360(period: float) -> SensorRays:
-    """Four beams in turn, which turn to the left while they sweep up and down, as in scans of two real ones."""
-    count = np.arange(_MID360_SCANS * _MID360_RAYS)
-    times = count * (period / _MID360_RAYS)
-    azimuth, swept = math.tau * _MID360_TURNS * times, np.cos(math.tau * _MID360_SWEEPS * times)
-    middle, by_cosine, by_square = _MID360_SWEEP
-    beams = np.array(_MID360_BEAMS)[count % len(_MID360_BEAMS)] * (1.0 + _MID360_WIDENED * swept)
-    elevation = middle + by_cosine * swept + by_square * swept**2 + beams * np.cos(azimuth)
-    elevation = np.interp(elevation, [elevation.min(), elevation.max()], _MID360_ELEVATION)  # as the manual has it
-    clockwise = -azimuth % math.tau
-    towards = _towards(clockwise, np.radians(elevation)).reshape(_MID360_SCANS, _MID360_RAYS, 3)
-    groups = clockwise.reshape(_MID360_SCANS, -1, len(_MID360_BEAMS))[..., 0]  # of which a stride keeps all beams
-    return SensorRays(towards, times[:_MID360_RAYS], groups)
-
-
-def _d435() -> SensorRays:
-    """The pixels of a pinhole camera, row by row from the upper left, exposed at once."""
-    columns, rows = _D435_PIXELS
-    aside, up = np.tan(np.radians(_D435_HALF))
-    z, y = (
-        part.ravel()
-        for part in np.meshgrid(np.linspace(up, -up, rows), np.linspace(aside, -aside, columns), indexing="ij")
-    )
-    return _timed(np.stack([np.ones_like(y), y, z], -1)[None], 0.0)
-
-
-def _timed(directions: np.ndarray, period: float) -> SensorRays:
-    """Rays in any directions ``[S, R, 3]``, fired one after the other at equal intervals."""
-    unit = (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).astype(np.float32)
-    times = np.arange(unit.shape[1]) * (period / unit.shape[1])
-    return SensorRays(unit, times, _clockwise(unit))
-
-
-def _clockwise(directions: np.ndarray) -> np.ndarray:
-    """The azimuths of directions ``[S, R, 3]``, rad clockwise from straight ahead."""
-    return np.arctan2(-directions[..., 1], directions[..., 0]).astype(np.float64) % math.tau
-
-
-def _towards(clockwise: np.ndarray, elevation: np.ndarray) -> np.ndarray:
-    """Unit vectors ``float32 [R, 3]``."""
-    return spherical(-clockwise, elevation).astype(np.float32)
-
-
-def _read(name: str, path: Path) -> np.ndarray:
-    """The directions ``[S, R, 3]`` in a file of one's own."""
-    told = f"The LiDAR {name!r}: its directions {path}"
-    rows = "rows must be x, y, z, or azimuth and elevation in degrees"
-    if (suffix := path.suffix.lower()) not in (".csv", ".txt", ".npy"):
-        raise UavrlError(f"{told} must be a .csv, .txt or .npy file.")
-    try:
-        size = path.stat().st_size
-    except OSError as error:
-        raise UavrlError(f"{told} cannot be read ({error.strerror}): name a file that is there.") from error
-    if not path.is_file():  # but a folder or a device, which may have no end
-        raise UavrlError(f"{told} must be a file, not a folder or a device.")
-    if size > _LARGEST_FILE:
-        raise UavrlError(f"{told} have more than {_LARGEST_FILE:,} bytes, which no sensor needs: give fewer rays.")
-    try:
-        if suffix == ".npy":
-            found = load_npy(path)
-        else:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is refused below
-                found = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")  # as Excel writes it
-    except (OSError, ValueError, EOFError) as error:
-        reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
-        raise UavrlError(f"{told} cannot be read ({reason}): {rows}.") from error
-    if found.ndim == 2:
-        found = found[None]
-    if found.dtype.kind not in "fiu" or found.ndim != 3 or found.shape[-1] not in (2, 3) or not found.size:
-        raise UavrlError(f"{told} have the shape {list(found.shape)} and type {found.dtype}: {rows}.")
-    scans, rays, numbers = found.shape
-    if rays > MOST_RAYS or scans > MOST_SCANS or scans * rays > 20 * MOST_RAYS:
-        raise UavrlError(
-            f"{told} are {scans} scans of {rays:,} rays; at most {MOST_SCANS} scans, {MOST_RAYS:,} rays in each and "
-            f"{20 * MOST_RAYS:,} in all are possible."
-        )
-    found = found.astype(np.float64)
-    if not np.isfinite(found).all():
-        raise UavrlError(f"{told} hold NaN or infinite values: every ray needs a direction.")
-    if numbers == 2:
-        if np.abs(found[..., 1]).max() > 90 + 1e-6:
-            raise UavrlError(
-                f"{told} hold elevations of up to {np.abs(found[..., 1]).max():g} degrees, and 90 is straight up: the "
-                f"columns are azimuth and elevation; of zenith angles write 90 - zenith."
-            )
-        found = spherical(*np.radians(np.moveaxis(found, -1, 0)))
-    largest = np.abs(found).max(-1, keepdims=True)
-    if not (largest > 1e-6).all():
-        raise UavrlError(f"{told} hold a ray of length 0: every ray needs a direction.")
-    return np.asarray(found / largest)  # whose squares can be added
+    return grid_rays(sensor.elevations, sensor.azimuth_steps, sensor.azimuth, sensor.rate)

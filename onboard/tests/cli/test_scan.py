@@ -33,11 +33,11 @@ def test_a_recording_is_told_in_numbers_and_drawn(tmp_path: Path, capsys: pytest
     out, err = capsys.readouterr()
     assert "2 scans at 9.91 Hz, 15,530 points each (median), 46.8 % misses" in out and err == ""
     assert "\n  ahead            0.50 m\n" in out and f"Written to {page}" in out
-    told = json.loads(facts.read_text())
+    told = json.loads(facts.read_text(encoding="utf-8"))
     assert (told["scans"], told["points_median"], told["nearest_m"]) == (2, 15529.5, 0.5)
     assert told["rate_hz"] == pytest.approx(9.915, abs=0.001) and told["misses"] == pytest.approx(0.4679, abs=1e-4)
     assert set(told["nearest_by_direction"]) <= set(SECTORS) and not any(told["skipped"].values())
-    drawn = json.loads(Page(page.read_text()).scripts["data"])
+    drawn = json.loads(Page(page.read_text(encoding="utf-8")).scripts["data"])
     assert drawn["cells"] == "32 faces" and len(drawn["scans"]) == 2
 
 
@@ -46,7 +46,7 @@ def test_points_on_the_vehicle_are_left_out(tmp_path: Path) -> None:
     box = "vehicle=[-0.6,-0.6,-0.5,0.6,0.6,0.3]"
     arguments = (f"source={RECORDED}", "model=VLP16", "output=null", f"json={facts}")
     assert in_process(scan.main, *arguments, box) == 0
-    told = json.loads(facts.read_text())
+    told = json.loads(facts.read_text(encoding="utf-8"))
     assert told["nearest_m"] > 0.6 and told["points_median"] < 15000
     assert told["misses"] == pytest.approx(0.4679, abs=1e-4), "what is masked was no miss"
     assert not (tmp_path / "scan.html").exists()
@@ -78,7 +78,7 @@ def test_directions_are_the_vehicles_of_a_lidar_that_is_mounted_otherwise(
     facts = tmp_path / "facts.json"
     arguments = (f"source={RECORDED}", "model=VLP16", "output=null", f"json={facts}", f"mount={mount}")
     assert in_process(scan.main, *arguments) == 0
-    nearest = json.loads(facts.read_text())["nearest_by_direction"]
+    nearest = json.loads(facts.read_text(encoding="utf-8"))["nearest_by_direction"]
     assert [side for side, near in nearest.items() if near > 1.0] == [open_side]
 
 
@@ -138,7 +138,7 @@ def test_ctrl_c_while_listening_loses_nothing_that_came(
     arguments = ("source=udp://:2368", "model=VLP16", "output=null", f"json={facts}")
     monkeypatch.setattr("uavrl_onboard.lidar.sources.read_udp", interrupted(100))
     assert in_process(scan.main, *arguments) == 130
-    assert json.loads(facts.read_text())["scans"] == 1
+    assert json.loads(facts.read_text(encoding="utf-8"))["scans"] == 1
     assert capsys.readouterr().err == "uavrl: stopped: the numbers are those of the scans that came until then.\n"
     facts.unlink()
     monkeypatch.setattr("uavrl_onboard.lidar.sources.read_udp", interrupted(10))

@@ -13,7 +13,7 @@ UPRIGHT = (0.0, 0.0, 0.0)
 """Roll, pitch and yaw of a sensor whose axes are the vehicle's."""
 TILTED = 5.0
 """Degrees of tilt from which on a sensor does not see the same elevations on all sides; the simulator draws up to 3."""
-_HALF_TURN_RAD, _NEAR = math.pi, 0.01
+_NEAR = 0.01  # of what looks like a half or a quarter turn in radians
 
 
 def mount_trouble(mount: Sequence[float]) -> str | None:
@@ -28,7 +28,7 @@ def mount_trouble(mount: Sequence[float]) -> str | None:
     if len(mount) != 3 or not all(math.isfinite(each) and abs(each) <= 180.0 for each in mount):
         return f"{told}, each from -180 to 180"
     for each in mount:
-        if any(abs(abs(each) - angle) < _NEAR for angle in (_HALF_TURN_RAD, _HALF_TURN_RAD / 2)):
+        if any(abs(abs(each) - angle) < _NEAR for angle in (math.pi, math.pi / 2)):
             return f"{told}: {each:g} looks like radians"
     return None
 
