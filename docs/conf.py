@@ -95,7 +95,7 @@ nitpick_ignore_regex = [
     ),
     (
         r"py:.*",
-        r"uavrl\.envs\.(traps\.Trap|terrain\.HeightField|rules\.Standing|difficulty\.Difficulty|file_worlds\.FileWorld|shape_file\.Surface|sensors\.(SensorRays|SENSORS)|mapped_way)|Trap|HeightField|Standing|Difficulty|FileWorld|Mesh",
+        r"uavrl\.envs\.(traps\.Trap|terrain\.HeightField|rules\.Standing|difficulty\.Difficulty|file_worlds\.FileWorld|shape_file\.Surface|ray_patterns\.SensorRays|sensors\.SENSORS|mapped_way)|Trap|HeightField|Standing|Difficulty|FileWorld|Mesh",
     ),
     (
         r"py:.*",
